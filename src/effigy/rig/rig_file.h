@@ -1,0 +1,17 @@
+// Rigs on disk: our own rig.safetensors, and finding and loading the user's rigs.
+#pragma once
+
+#include "effigy/rig/rig.h"
+
+namespace effigy {
+
+// Our own format: everything in Rig, float32. Reading checks all of it.
+Rig read_rig(const Path& path);
+void write_rig(const Path& path, const Rig& rig);
+
+// A rig from anything we know: our .safetensors, a FLAME .pkl, a folder with ICT-FaceKit's packed
+// file or the original repository's OBJ files. `models` may hold the MediaPipe geometry file used
+// for landmark embeddings. Throws Error for unknown ones.
+Rig load_rig(const Path& path, const Path& models);
+
+}  // namespace effigy
