@@ -4,7 +4,7 @@
 
 #include <stdexcept>
 #include <string>
-#include <string_view>
+#include <type_traits>
 
 namespace effigy {
 
@@ -49,7 +49,7 @@ namespace detail {
   do {                                                                                      \
     const auto effigy_a = (a);                                                              \
     const auto effigy_b = (b);                                                              \
-    if (!(effigy_a == static_cast<decltype(effigy_a)>(effigy_b)))                           \
+    if (!(effigy_a == static_cast<std::remove_const_t<decltype(effigy_a)>>(effigy_b)))                           \
       ::effigy::detail::check_failed(__FILE__, __LINE__, #a " == " #b,                      \
                                      std::to_string(effigy_a) + " vs " +                    \
                                          std::to_string(effigy_b));                         \
