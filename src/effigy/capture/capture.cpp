@@ -262,7 +262,7 @@ void write_capture(const Capture& capture, const Path& folder) {
               {"consent", capture.consent},
               {"rig", capture.rig.kind},
               {"frames_per_second", capture.frames_per_second},
-              {"cameras", {camera_json(capture.camera)}},
+              {"cameras", Json::array({camera_json(capture.camera)})},
               {"extra", capture.extra.is_null() ? Json::object() : capture.extra},
               {"frames", frames}});
 }
