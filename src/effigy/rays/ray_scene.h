@@ -15,14 +15,26 @@ struct RayHit {
   float b = 0, c = 0;  // barycentric weights of the triangle's 2nd and 3rd vertex
 };
 
+// One triangle mesh, indexed for ray queries. Both sides of a triangle are hit. Directions need not
+// be unit; distances are in lengths of the direction. Queries are safe from many threads.
 class RayScene {
  public:
+  // `vertices`: 3V floats. Copies what it needs. Throws Error when an index is out of range, a
+  // position is not finite, or Embree cannot build the scene.
   RayScene(std::span<const float> vertices, const std::vector<Vec3i>& triangles);
   ~RayScene();
+  RayScene(RayScene&&) noexcept;
+  RayScene& operator=(RayScene&&) noexcept;
+
+  // The nearest hit with distance in [near, far].
   RayHit closest(const Vec3f& origin, const Vec3f& direction, float near = 0.0f,
                  float far = 1e30f) const;
+  // Whether anything is hit with distance in [near, far].
   bool occluded(const Vec3f& origin, const Vec3f& direction, float near = 0.0f,
                 float far = 1e30f) const;
+
+  // Moves the vertices (same count) and refits the index: for animated meshes.
+  void move(std::span<const float> vertices);
 
  private:
   struct State;
