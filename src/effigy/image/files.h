@@ -20,6 +20,8 @@ Image8 read_image8(const Path& path);
 // Any of PNG (8/16 bit), JPEG, AVIF, EXR, Radiance HDR by content, as floats: integer formats in
 // [0, 1] as encoded (no transfer function applied), EXR and HDR linear radiance.
 Image read_image(const Path& path);
+// PNG text chunks and EXR string attributes; empty for other formats.
+ImageMetadata read_image_metadata(const Path& path);
 void write_png8(const Path& path, const Image8& image, const ImageMetadata& metadata = {});
 // Clamps to [0, 1], rounds to 16 bit.
 void write_png16(const Path& path, const Image& image, const ImageMetadata& metadata = {});
