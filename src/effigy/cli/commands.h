@@ -1,12 +1,12 @@
-// The commands: one function in one file each. argv[0] is the command's name. Return an exit code or
-// throw Error.
+// The commands: one function in one file each. argv[0] is the command's name. Return an exit code
+// or throw Error.
 #pragma once
 
 namespace effigy {
 
 int run_demo(int argc, char** argv);
-int run_track(int argc, char** argv);     // effigy-learn
-int run_train(int argc, char** argv);     // effigy-learn
+int run_track(int argc, char** argv);  // effigy-learn
+int run_train(int argc, char** argv);  // effigy-learn
 int run_render(int argc, char** argv);
 int run_eval(int argc, char** argv);
 int run_textures(int argc, char** argv);

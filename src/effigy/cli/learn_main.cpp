@@ -1,0 +1,9 @@
+// effigy-learn: the commands that need libtorch. Users call them through effigy.
+
+#include "effigy/cli/commands.h"
+#include "effigy/cli/program.h"
+
+int main(int argc, char** argv) {
+  return effigy::run_program({{"track", effigy::run_track, "a talking-head video to a capture"}},
+                             argc, argv);
+}

@@ -1,0 +1,63 @@
+#include "effigy/cli/program.h"
+
+#include <cstdio>
+#include <cstring>
+#include <new>
+
+#include "effigy/base/error.h"
+#include "effigy/base/progress.h"
+
+namespace effigy {
+namespace {
+
+void print_usage(const std::vector<Command>& commands, std::FILE* out) {
+  std::fputs(
+      "effigy: relightable, animatable, editable Gaussian avatars without a GPU\n\n"
+      "usage: effigy COMMAND [ARGUMENTS]     effigy COMMAND --help\n\n",
+      out);
+  for (const Command& command : commands)
+    std::fprintf(out, "  %-9s %s\n", command.name, command.summary);
+  std::fputs("\n  example: effigy demo -o demo\n", out);
+}
+
+int complain(const std::string& sentence, int code) {
+  clear_progress_line();
+  std::fprintf(stderr, "effigy: %s\n", sentence.c_str());
+  return code;
+}
+
+}  // namespace
+
+int run_program(const std::vector<Command>& commands, int argc, char** argv) {
+  install_interrupt_handler();
+  if (argc < 2) {
+    print_usage(commands, stderr);
+    return 2;
+  }
+  const std::string name = argv[1];
+  if (name == "--help" || name == "-h" || name == "help") {
+    print_usage(commands, stdout);
+    return 0;
+  }
+  if (name == "--version") {
+    std::puts("effigy " EFFIGY_VERSION);
+    return 0;
+  }
+  for (const Command& command : commands) {
+    if (name != command.name) continue;
+    try {
+      return command.run(argc - 1, argv + 1);
+    } catch (const Interrupted& interrupted) {
+      return complain(interrupted.what(), 130);
+    } catch (const Error& error) {
+      return complain(error.what(), error.exit_code());
+    } catch (const std::bad_alloc&) {
+      return complain("Out of memory; close other programs or lower --size.", 1);
+    } catch (const std::exception& problem) {
+      return complain(std::string("Internal error: ") + problem.what() + "; please report it.", 1);
+    }
+  }
+  return complain("Unknown command '" + name + "'; see 'effigy --help'.", 2);
+}
+
+}  // namespace effigy

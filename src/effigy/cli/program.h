@@ -1,0 +1,20 @@
+// The main function that both executables share.
+#pragma once
+
+#include <string>
+#include <vector>
+
+namespace effigy {
+
+struct Command {
+  const char* name;
+  int (*run)(int argc, char** argv);
+  const char* summary;
+};
+
+// Runs the command named by argv[1]; turns Error into one sentence on standard error and an exit
+// code (2 for usage or input, 1 for the rest, 130 when interrupted). Standard output carries
+// results only.
+int run_program(const std::vector<Command>& commands, int argc, char** argv);
+
+}  // namespace effigy

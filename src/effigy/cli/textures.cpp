@@ -1,0 +1,57 @@
+// effigy textures: materials out as PNGs, painted ones back in.
+
+#include "effigy/avatar/textures.h"
+
+#include "effigy/avatar/head_avatar.h"
+#include "effigy/base/log.h"
+#include "effigy/cli/command_line.h"
+#include "effigy/cli/commands.h"
+
+namespace effigy {
+
+int run_textures(int argc, char** argv) {
+  CLI::App app(
+      "Exports an avatar's material textures as 16-bit PNGs, or applies painted ones.\n"
+      "albedo.png is sRGB; roughness, specular (F0) and normal (OpenGL) are linear. When applying, "
+      "an "
+      "alpha channel is the edit's mask.\n\n"
+      "example: effigy textures anna export anna-paint\n"
+      "         effigy textures anna apply anna-paint\n"
+      "         effigy textures anna apply star --rect 0.4,0.6,0.5,0.7",
+      "textures");
+  std::string avatar_path, action, folder, rectangle;
+  CommonOptions common;
+  app.add_option("AVATAR", avatar_path, "Avatar folder")->required();
+  app.add_option("ACTION", action, "export or apply")
+      ->required()
+      ->check(CLI::IsMember({"export", "apply"}));
+  app.add_option("DIR", folder, "Folder of the PNGs")->required();
+  app.add_option("--rect", rectangle,
+                 "apply: UV rectangle u0,v0,u1,v1 (v up) that the images fill, e.g. for a decal");
+  add_common(app, common, false, false);
+  if (!parse_command_line(app, argc, argv, common)) return 0;
+
+  const Path textures = Path(avatar_path) / "textures";
+  if (!std::filesystem::exists(Path(avatar_path) / "avatar.json"))
+    throw Error(avatar_path + ": not an avatar (avatar.json is missing); give an avatar folder.");
+  MaterialTexture material = read_material(textures);
+  if (action == "export") {
+    write_material(folder, material);
+    log_info(format("wrote albedo, roughness, specular and normal ({} x {}) to {}", material.width,
+                    material.height, folder));
+    return 0;
+  }
+  UvRectangle where = {0, 0, 1, 1};
+  if (!rectangle.empty()) {
+    const auto numbers = parse_numbers(rectangle, 4, "--rect");
+    std::copy(numbers.begin(), numbers.end(), where.begin());
+  }
+  const int applied = apply_edits(folder, where, material);
+  FolderWriter writer(textures);
+  write_material(writer.dir(), material);
+  writer.commit();
+  log_info(format("applied {} map(s) of {} to {}", applied, folder, avatar_path));
+  return 0;
+}
+
+}  // namespace effigy

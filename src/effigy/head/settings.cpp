@@ -1,0 +1,127 @@
+#include "effigy/head/settings.h"
+
+#include <cmath>
+#include <set>
+
+#include "effigy/base/error.h"
+
+namespace effigy {
+namespace {
+
+// Calls visit(name, reference) for every setting: the one list that reading and writing share.
+template <typename Settings, typename Visit>
+void visit_settings(Settings& s, Visit&& visit) {
+  visit("preset", s.preset);
+  visit("paper_literal", s.paper_literal);
+  visit("iterations", s.iterations);
+  visit("surfels", s.surfels);
+  visit("texture_size", s.texture_size);
+  visit("rate.barycentric", s.rates.barycentric);
+  visit("rate.rotation", s.rates.rotation);
+  visit("rate.log_scale", s.rates.log_scale);
+  visit("rate.displacement", s.rates.displacement);
+  visit("rate.opacity", s.rates.opacity);
+  visit("rate.material", s.rates.material);
+  visit("rate.normal", s.rates.normal);
+  visit("rate.environment", s.rates.environment);
+  visit("rate.template_vertices", s.rates.template_vertices);
+  visit("rate.weights", s.rates.weights);
+  visit("rate.basis", s.rates.basis);
+  visit("rate.frame_expression", s.rates.frame_expression);
+  visit("rate.frame_rotation", s.rates.frame_rotation);
+  visit("rate.frame_translation", s.rates.frame_translation);
+  visit("weight.l1", s.weights.l1);
+  visit("weight.dssim", s.weights.dssim);
+  visit("weight.mask", s.weights.mask);
+  visit("weight.albedo_prior", s.weights.albedo_prior);
+  visit("weight.smooth", s.weights.smooth);
+  visit("weight.normal_map", s.weights.normal_map);
+  visit("weight.normal_consistency", s.weights.normal_consistency);
+  visit("weight.uv_distortion", s.weights.uv_distortion);
+  visit("weight.boundary", s.weights.boundary);
+  visit("weight.barycentric", s.weights.barycentric);
+  visit("weight.laplacian", s.weights.laplacian);
+  visit("weight.rig", s.weights.rig);
+  visit("weight.expression", s.weights.expression);
+  visit("uv_distortion", s.uv_distortion);
+  visit("uv_distortion_start", s.uv_distortion_start);
+  visit("uv_distortion_threshold", s.uv_distortion_threshold);
+  visit("divide_by_alpha", s.divide_by_alpha);
+  visit("interpolated_normals", s.interpolated_normals);
+  visit("splat_normal_frame", s.splat_normal_frame);
+  visit("jacobian_to_vertices", s.jacobian_to_vertices);
+  visit("refine_expression", s.refine_expression);
+  visit("refine_pose", s.refine_pose);
+  visit("refine_rig", s.refine_rig);
+  visit("final_rate_factor", s.final_rate_factor);
+  visit("final_part", s.final_part);
+  visit("evaluate_every", s.evaluate_every);
+  visit("checkpoint_every", s.checkpoint_every);
+  visit("seed", s.seed);
+}
+
+void check(const TrainSettings& s, const std::string& name) {
+  auto require = [&](bool good, const char* what) {
+    if (!good) throw Error(name + ": " + what + ".");
+  };
+  require(s.iterations >= 1 && s.iterations <= 10'000'000, "iterations must be 1 to 10000000");
+  require(s.surfels >= 100 && s.surfels <= 1'000'000, "surfels must be 100 to 1000000");
+  require(s.texture_size >= 64 && s.texture_size <= 4096, "texture_size must be 64 to 4096");
+  require(s.uv_distortion == "norm" || s.uv_distortion == "squared" || s.uv_distortion == "off",
+          "uv_distortion must be norm, squared or off");
+  require(s.final_part >= 0 && s.final_part <= 1 && s.final_rate_factor > 0,
+          "final_part must be in [0, 1] and final_rate_factor positive");
+}
+
+}  // namespace
+
+TrainSettings TrainSettings::from_preset(const std::string& name) {
+  TrainSettings s;
+  s.preset = name;
+  if (name == "quick") {
+    s.iterations = 3000;
+    s.uv_distortion_start = 500;
+  } else if (name == "standard") {
+    s.iterations = 12000;
+  } else if (name == "paper") {
+    s.iterations = 60000;
+    s.surfels = 41472;
+  } else {
+    throw Error("--preset must be quick, standard or paper, not '" + name + "'.");
+  }
+  return s;
+}
+
+void TrainSettings::make_paper_literal() {
+  paper_literal = true;
+  uv_distortion = "norm";
+  uv_distortion_start = 0;
+  uv_distortion_threshold = 0;
+  divide_by_alpha = false;
+  interpolated_normals = false;
+  splat_normal_frame = true;
+  jacobian_to_vertices = false;
+  refine_pose = false;
+  final_rate_factor = 1;
+}
+
+Json to_json(const TrainSettings& settings) {
+  Json json = Json::object();
+  visit_settings(settings, [&](const char* name, const auto& value) { json[name] = value; });
+  return json;
+}
+
+void from_json_checked(const Json& json, const std::string& name, TrainSettings& settings) {
+  if (!json.is_object()) throw Error(name + ": settings must be a JSON object.");
+  std::set<std::string> known;
+  visit_settings(settings, [&](const char* field, auto& value) {
+    known.insert(field);
+    if (json.contains(field)) value = json_field<std::decay_t<decltype(value)>>(json, field, name);
+  });
+  for (const auto& [field, value] : json.items())
+    if (!known.count(field))
+      throw Error(name + ": unknown setting '" + field + "'; see docs/training.md.");
+  check(settings, name);
+}
+
+}  // namespace effigy
