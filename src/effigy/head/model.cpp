@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "effigy/head/silhouette.h"
+
 namespace effigy {
 namespace {
 
@@ -65,6 +67,10 @@ HeadModel initial_model(const Capture& capture, const TrainSettings& settings) {
                 "fewer frames out (--test).");
   HeadModel model;
   model.original = shape_rig(capture.rig, capture.identity);
+  if (settings.fit_silhouette)
+    apply_offsets(capture.rig.mesh,
+                  silhouette_offsets(capture, model.original, spread_frames(frames, 40)),
+                  model.original);
   model.shape = model.original;
   model.poses = capture.poses;
   std::vector<float> weight =

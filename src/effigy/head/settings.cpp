@@ -50,6 +50,7 @@ void visit_settings(Settings& s, Visit&& visit) {
   visit("interpolated_normals", s.interpolated_normals);
   visit("splat_normal_frame", s.splat_normal_frame);
   visit("jacobian_to_vertices", s.jacobian_to_vertices);
+  visit("fit_silhouette", s.fit_silhouette);
   visit("refine_expression", s.refine_expression);
   visit("refine_pose", s.refine_pose);
   visit("refine_rig", s.refine_rig);
@@ -102,6 +103,7 @@ void TrainSettings::make_paper_literal() {
   splat_normal_frame = true;
   jacobian_to_vertices = false;
   refine_pose = false;
+  fit_silhouette = false;
   final_rate_factor = 1;
 }
 

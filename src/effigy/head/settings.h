@@ -56,6 +56,7 @@ struct TrainSettings {
   bool interpolated_normals = false;
   bool splat_normal_frame = false;  // Eq. 7's frame instead of the UV-aligned one
   bool jacobian_to_vertices = false;
+  bool fit_silhouette = true;      // start at the mattes' outline (head/silhouette.h)
   bool refine_expression = true;   // per training frame
   bool refine_pose = true;         // per training frame (rotation, neck, eyes, translation)
   bool refine_rig = true;          // template, bases, weights

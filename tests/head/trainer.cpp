@@ -1,0 +1,140 @@
+#include "effigy/head/trainer.h"
+
+#include "effigy/base/safetensors.h"
+#include "effigy/base/threads.h"
+#include "effigy/head/evaluate.h"
+#include "support.h"
+#include "tiny_capture.h"
+
+namespace effigy {
+namespace {
+
+using test::contains;
+using test::error_of;
+
+TrainSettings tiny_settings() {
+  TrainSettings settings = TrainSettings::from_preset("quick");
+  settings.iterations = 40;
+  settings.surfels = 400;
+  settings.texture_size = 64;
+  settings.uv_distortion_start = 5;
+  settings.evaluate_every = 0;
+  return settings;
+}
+
+std::vector<uint8_t> checkpoint_bytes(const HeadTrainer& trainer, const Path& path) {
+  trainer.save_checkpoint(path);
+  return read_file(path);
+}
+
+TEST(Trainer, LossFalls) {
+  test::ScratchFolder scratch;
+  test::write_tiny_capture(scratch.path());
+  const Capture capture = read_capture(scratch.path());
+  HeadTrainer trainer(capture, tiny_settings());
+  double first = 0, last = 0;
+  for (int i = 0; i < 60; ++i) {
+    const LossValues losses = trainer.step();
+    (i < 6 ? first : last) += i < 6 || i >= 54 ? losses.at("l1") / 6 : 0;
+  }
+  EXPECT_LT(last, 0.6 * first);
+}
+
+TEST(Trainer, SameSeedSameBits) {
+  test::ScratchFolder scratch;
+  test::write_tiny_capture(scratch / "c");
+  const Capture capture = read_capture(scratch / "c");
+  HeadTrainer a(capture, tiny_settings()), b(capture, tiny_settings());
+  for (int i = 0; i < 12; ++i) {
+    a.step();
+    b.step();
+  }
+  EXPECT_EQ(checkpoint_bytes(a, scratch / "a.safetensors"),
+            checkpoint_bytes(b, scratch / "b.safetensors"));
+}
+
+TEST(Trainer, ResumeGoesOnBitForBit) {
+  test::ScratchFolder scratch;
+  test::write_tiny_capture(scratch / "c");
+  const Capture capture = read_capture(scratch / "c");
+  HeadTrainer whole(capture, tiny_settings()), first(capture, tiny_settings());
+  for (int i = 0; i < 20; ++i) whole.step();
+  for (int i = 0; i < 9; ++i) first.step();
+  first.save_checkpoint(scratch / "half.safetensors");
+  HeadTrainer second(capture, tiny_settings());
+  second.load_checkpoint(scratch / "half.safetensors");
+  EXPECT_EQ(second.iteration(), 9);
+  for (int i = 0; i < 11; ++i) second.step();
+  EXPECT_EQ(checkpoint_bytes(whole, scratch / "a.safetensors"),
+            checkpoint_bytes(second, scratch / "b.safetensors"));
+}
+
+TEST(Trainer, CheckpointOfAnotherRunIsRefused) {
+  test::ScratchFolder scratch;
+  test::write_tiny_capture(scratch / "c");
+  test::write_tiny_capture(scratch / "d", 9);
+  const Capture capture = read_capture(scratch / "c"), other = read_capture(scratch / "d");
+  HeadTrainer trainer(capture, tiny_settings());
+  trainer.save_checkpoint(scratch / "x.safetensors");
+  HeadTrainer foreign(other, tiny_settings());
+  EXPECT_TRUE(contains(error_of([&] { foreign.load_checkpoint(scratch / "x.safetensors"); }),
+                       "another capture"));
+  TrainSettings changed = tiny_settings();
+  changed.rates.opacity *= 2;
+  HeadTrainer different(capture, changed);
+  EXPECT_TRUE(contains(error_of([&] { different.load_checkpoint(scratch / "x.safetensors"); }),
+                       "other settings"));
+  EXPECT_TRUE(
+      contains(error_of([&] { trainer.load_checkpoint(scratch / "none"); }), "no such file"));
+}
+
+TEST(Trainer, WholeRunWritesAnAvatarThatScoresTheSame) {
+  test::ScratchFolder scratch;
+  test::write_tiny_capture(scratch / "c");
+  const Capture capture = read_capture(scratch / "c");
+  const Json result = train_head(capture, tiny_settings(), scratch / "a", {false, "yes"});
+  EXPECT_EQ(result["iterations"], 40);
+  EXPECT_FALSE(std::filesystem::exists(scratch / "a/checkpoint.safetensors"));
+  const HeadAvatar avatar = read_head_avatar(scratch / "a");
+  EXPECT_EQ(avatar.info["provenance"]["consent"], "yes");
+  const auto scores = evaluate_tracker(avatar, capture, capture.test_frames());
+  EXPECT_GT(scores.mean().psnr, 15);
+  EXPECT_GT(scores.mean().coverage, 0.8);
+  const auto refined = evaluate_refined(avatar, capture, capture.test_frames(), 5);
+  EXPECT_GE(refined.mean().psnr, scores.mean().psnr - 0.3);
+}
+
+TEST(Trainer, OneTrainingFrameIsRefused) {
+  test::ScratchFolder scratch;
+  test::write_tiny_capture(scratch / "c", 2);
+  Capture capture = read_capture(scratch / "c");
+  capture.frames[1].test = true;
+  EXPECT_TRUE(contains(error_of([&] { HeadTrainer(capture, tiny_settings()); }), "at least 2"));
+}
+
+TEST(Settings, PresetsAndOverrides) {
+  TrainSettings settings = TrainSettings::from_preset("standard");
+  from_json_checked({{"surfels", 5000}, {"rate.opacity", 0.01}}, "test", settings);
+  EXPECT_EQ(settings.surfels, 5000);
+  EXPECT_DOUBLE_EQ(settings.rates.opacity, 0.01);
+  EXPECT_TRUE(contains(error_of([&] {
+                         from_json_checked({{"surfel", 1}}, "test", settings);
+                       }),
+                       "'surfel'"));
+  EXPECT_TRUE(contains(error_of([&] {
+                         from_json_checked({{"surfels", "many"}}, "test", settings);
+                       }),
+                       "surfels"));
+  EXPECT_TRUE(contains(error_of([&] {
+                         from_json_checked({{"iterations", 0}}, "test", settings);
+                       }),
+                       "iterations"));
+  EXPECT_TRUE(contains(error_of([] { TrainSettings::from_preset("fast"); }), "fast"));
+  TrainSettings literal = TrainSettings::from_preset("paper");
+  literal.make_paper_literal();
+  EXPECT_TRUE(literal.splat_normal_frame && !literal.divide_by_alpha &&
+              literal.uv_distortion_start == 0);
+}
+
+}  // namespace
+}  // namespace effigy
