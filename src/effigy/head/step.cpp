@@ -33,6 +33,18 @@ void clear_posed(PosedSurfels& posed, size_t count) {
     std::fill(array->begin(), array->end(), 0.0f);
 }
 
+// Rows of skinning weights are kept non-negative and summing to 1.
+void normalise_weights(std::vector<float>& weights, size_t joints) {
+  for (size_t row = 0; row + joints <= weights.size(); row += joints) {
+    float sum = 1e-6f;
+    for (size_t j = 0; j < joints; ++j) {
+      weights[row + j] = std::max(weights[row + j], 0.0f);
+      sum += weights[row + j];
+    }
+    for (size_t j = 0; j < joints; ++j) weights[row + j] /= sum;
+  }
+}
+
 }  // namespace
 
 // Constant, then falling geometrically to final_rate_factor over the last part of the run, so that
@@ -73,7 +85,7 @@ void HeadTrainer::State::image_losses(LossValues& losses) {
   losses["mask"] = photo.mask;
   if (w.normal_consistency > 0)
     losses["normal_consistency"] = normal_consistency_loss(
-        gbuffer, capture.camera, static_cast<float>(w.normal_consistency), &d_gbuffer);
+        gbuffer, capture.camera, {}, static_cast<float>(w.normal_consistency), &d_gbuffer, scratch);
   if (w.albedo_prior > 0 && target.albedo.count == 3)
     losses["albedo_prior"] = albedo_prior_loss(gbuffer, target.albedo, target.mask.data,
                                                static_cast<float>(w.albedo_prior), &d_gbuffer);
@@ -129,8 +141,8 @@ void HeadTrainer::State::update_pose(int frame, const RigPose& tracked, const Ri
   RigPose packed{gradient.expression, gradient.joint_rotation, gradient.translation};
   if (settings.weights.expression > 0)
     losses["expression"] =
-        expression_loss(pose.expression, tracked.expression,
-                        static_cast<float>(settings.weights.expression), packed.expression);
+        distance_loss(pose.expression, tracked.expression, Distance::kMeanSquared, 1,
+                      static_cast<float>(settings.weights.expression), packed.expression);
   pack_pose(packed, gradients);
   AdamState& state = optimiser.poses[frame];
   if (state.size() != size) state = AdamState(size);
@@ -172,18 +184,22 @@ void HeadTrainer::State::update_rig(int frame, const RigPose& tracked, LossValue
   if (settings.refine_rig) {
     const double f = rate_factor();
     const auto tune = [&](std::vector<float>& values, const std::vector<float>& original,
-                          std::vector<float>& gradient, AdamState& state, double rate) {
+                          std::vector<float>& gradient, AdamState& state, double rate,
+                          size_t width) {
       if (values.empty() || rate <= 0) return;
       if (w.rig > 0)
-        losses["rig"] += rig_delta_loss(values, original, static_cast<float>(w.rig), gradient);
+        losses["rig"] += distance_loss(values, original, Distance::kMeanRowNorm, width,
+                                       static_cast<float>(w.rig), gradient);
       adam_step(values, gradient, state, static_cast<float>(f * rate));
     };
     const LearningRates& r = settings.rates;
-    tune(shape.rest, model.original.rest, g.rest, optimiser.rest, r.template_vertices);
-    tune(shape.weights, model.original.weights, g.weights, optimiser.weights, r.weights);
+    tune(shape.rest, model.original.rest, g.rest, optimiser.rest, r.template_vertices, 3);
+    tune(shape.weights, model.original.weights, g.weights, optimiser.weights, r.weights,
+         capture.rig.joint_count());
     tune(shape.expression_basis, model.original.expression_basis, g.expression_basis,
-         optimiser.expression_basis, r.basis);
-    tune(shape.pose_basis, model.original.pose_basis, g.pose_basis, optimiser.pose_basis, r.basis);
+         optimiser.expression_basis, r.basis, 3);
+    tune(shape.pose_basis, model.original.pose_basis, g.pose_basis, optimiser.pose_basis, r.basis,
+         3);
     normalise_weights(shape.weights, capture.rig.joint_count());
   }
   if (refine_pose) update_pose(frame, tracked, g, losses);

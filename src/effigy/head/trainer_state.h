@@ -60,7 +60,7 @@ struct HeadTrainer::State {
   // Scratch of one iteration, kept to keep its memory.
   TargetFrame target;
   MaterialTexture texture;
-  std::vector<float> vertices, original_vertices;
+  std::vector<float> vertices, original_vertices, scratch;
   PosedSurfels posed, d_posed;
   SurfelFrame raster;
   Planes gbuffer, colour, d_gbuffer, d_colour;

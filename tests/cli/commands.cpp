@@ -1,0 +1,178 @@
+// The real command line: results, exit codes and the one sentence of each error.
+
+#include <sys/wait.h>
+
+#include <fstream>
+
+#include "effigy/base/json.h"
+#include "support.h"
+#include "tiny_capture.h"
+
+namespace effigy {
+namespace {
+
+using test::contains;
+
+struct Outcome {
+  int code = -1;
+  std::string out, err;
+  // One line on standard error that starts with "effigy: ".
+  bool one_sentence() const {
+    return err.rfind("effigy: ", 0) == 0 && err.find('\n') == err.size() - 1;
+  }
+};
+
+Outcome run(const std::string& arguments) {
+  test::ScratchFolder scratch;
+  const std::string program = EFFIGY_BINARY_DIR "/bin/effigy";
+  const int status = std::system((program + " " + arguments + " >" + (scratch / "out").string() +
+                                  " 2>" + (scratch / "err").string() + " </dev/null")
+                                     .c_str());
+  Outcome outcome;
+  outcome.code = WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
+  outcome.out = read_text(scratch / "out");
+  outcome.err = read_text(scratch / "err");
+  return outcome;
+}
+
+// A small trained avatar and its capture, made once for all tests of this file.
+const Path& trained() {
+  static const test::ScratchFolder scratch;
+  static const bool made = [] {
+    test::write_tiny_capture(scratch / "capture");
+    const Outcome train =
+        run("train " + (scratch / "capture").string() + " -o " + (scratch / "avatar").string() +
+            " --preset quick --iterations 30 --surfels 300 --texture-size 64 --consent 'a test' "
+            "--json");
+    EXPECT_EQ(train.code, 0) << train.err;
+    const Json result = Json::parse(train.out);
+    EXPECT_EQ(result["iterations"], 30);
+    return true;
+  }();
+  (void)made;
+  return scratch.path();
+}
+
+TEST(Commands, HelpAndVersion) {
+  EXPECT_EQ(run("--version").code, 0);
+  const Outcome help = run("--help");
+  EXPECT_EQ(help.code, 0);
+  for (const char* name :
+       {"demo", "track", "train", "render", "eval", "textures", "splat", "info", "bench"}) {
+    EXPECT_TRUE(contains(help.out, name)) << name;
+    const Outcome one = run(std::string(name) + " --help");
+    EXPECT_EQ(one.code, 0) << name << one.err;
+    EXPECT_TRUE(contains(one.out, "example:")) << name;
+  }
+}
+
+TEST(Commands, UsageErrorsAreOneSentenceAndExit2) {
+  for (const char* arguments :
+       {"nonsense", "train", "train /nonexistent -o /tmp/x", "render /nonexistent -o /tmp/x",
+        "eval /nonexistent /nonexistent -o /tmp/x", "textures /nonexistent export /tmp/x",
+        "info /nonexistent", "splat /nonexistent -o /tmp/x", "train x -o y --preset fastest",
+        "train x -o y --threads 0"}) {
+    const Outcome outcome = run(arguments);
+    EXPECT_EQ(outcome.code, 2) << arguments << ": " << outcome.err;
+    EXPECT_TRUE(outcome.one_sentence()) << arguments << ": " << outcome.err;
+    EXPECT_TRUE(outcome.out.empty()) << arguments;
+  }
+}
+
+TEST(Commands, TrainThenInfoRenderTextures) {
+  const Path& place = trained();
+  const std::string avatar = (place / "avatar").string();
+  const Outcome info = run("info " + avatar + " --json");
+  ASSERT_EQ(info.code, 0) << info.err;
+  const Json description = Json::parse(info.out);
+  EXPECT_EQ(description["what"], "avatar");
+  EXPECT_EQ(description["provenance"]["consent"], "a test");
+
+  const std::string frames = (place / "frames").string();
+  const Outcome render = run("render " + avatar + " -o " + frames +
+                             " --count 2 --light studio --camera orbit --buffers albedo,normal");
+  ASSERT_EQ(render.code, 0) << render.err;
+  EXPECT_EQ(read_image8(place / "frames/rgb/000001.png").width, 64);
+  EXPECT_TRUE(std::filesystem::exists(place / "frames/normal/000000.png"));
+
+  const std::string paint = (place / "paint").string();
+  ASSERT_EQ(run("textures " + avatar + " export " + paint).code, 0);
+  write_png8(place / "paint/albedo.png", Image8(64, 64, 3, 255));
+  ASSERT_EQ(run("textures " + avatar + " apply " + paint).code, 0);
+  EXPECT_EQ(read_image8(place / "avatar/textures/albedo.png").at(10, 10)[1], 255);
+}
+
+TEST(Commands, ShardsTogetherAreTheWhole) {
+  const Path& place = trained();
+  const std::string avatar = (place / "avatar").string();
+  ASSERT_EQ(run("render " + avatar + " -o " + (place / "whole").string()).code, 0);
+  for (int i = 0; i < 2; ++i)
+    ASSERT_EQ(run("render " + avatar + " -o " + (place / "parts").string() + " --shard " +
+                  std::to_string(i) + "/2")
+                  .code,
+              0);
+  for (int f = 0; f < 8; ++f) {
+    const std::string name = "rgb/00000" + std::to_string(f) + ".png";
+    EXPECT_EQ(read_file(place / "whole" / name), read_file(place / "parts" / name));
+  }
+  EXPECT_EQ(run("render " + avatar + " -o /tmp/x --shard 2/2").code, 2);
+}
+
+TEST(Commands, BadAvatarInputsAreNamed) {
+  const Path& place = trained();
+  test::ScratchFolder scratch;
+  std::filesystem::copy(place / "avatar", scratch / "avatar",
+                        std::filesystem::copy_options::recursive);
+  const std::string avatar = (scratch / "avatar").string();
+  const auto fails = [&](const std::string& arguments, const std::string& part) {
+    const Outcome outcome = run(arguments);
+    EXPECT_EQ(outcome.code, 2) << outcome.err;
+    EXPECT_TRUE(outcome.one_sentence() && contains(outcome.err, part)) << outcome.err;
+  };
+  fails("render " + avatar + " -o /tmp/x --light /nonexistent.hdr", "nonexistent.hdr");
+  fails("render " + avatar + " -o /tmp/x --drive nobody", "nobody");
+  fails("render " + avatar + " -o /tmp/x --camera 1,2,3", "--camera");
+  fails("render " + avatar + " -o /tmp/x --buffers beauty", "beauty");
+  const auto before = read_file(scratch / "avatar/textures/albedo.png");
+  std::filesystem::create_directories(scratch / "edit");
+  write_png8(scratch / "edit/albedo.png", Image8(30, 20, 3));
+  fails("textures " + avatar + " apply " + (scratch / "edit").string(), "30x20");
+  EXPECT_EQ(read_file(scratch / "avatar/textures/albedo.png"), before);
+  write_text(scratch / "avatar/textures/normal.png", "not a picture");
+  fails("render " + avatar + " -o /tmp/x", "normal.png");
+}
+
+TEST(Commands, WriteFailuresExit1AndKeepWhatWasThere) {
+  const Path& place = trained();
+  test::ScratchFolder scratch;
+  write_text(scratch / "file", "keep me");
+  const Outcome outcome = run("train " + (place / "capture").string() + " -o " +
+                              (scratch / "file").string() + " --preset quick --iterations 1");
+  EXPECT_NE(outcome.code, 0);
+  EXPECT_TRUE(contains(outcome.err, "in the way")) << outcome.err;
+  EXPECT_EQ(read_text(scratch / "file"), "keep me");
+  const Outcome full =
+      run("render " + (place / "avatar").string() + " -o /proc/effigy-frames --count 1");
+  EXPECT_EQ(full.code, 1) << full.err;
+}
+
+TEST(Commands, InterruptedTrainingResumes) {
+  const Path& place = trained();
+  test::ScratchFolder scratch;
+  const std::string common = "train " + (place / "capture").string() + " -o " +
+                             (scratch / "avatar").string() +
+                             " --preset quick --iterations 1200 --surfels 300 --texture-size 64"
+                             " --set checkpoint_every=10 --set evaluate_every=0";
+  const std::string program = EFFIGY_BINARY_DIR "/bin/effigy ";
+  const int status = std::system(
+      ("timeout -s INT 2 " + program + common + " 2>" + (scratch / "err").string()).c_str());
+  if (WEXITSTATUS(status) == 0) GTEST_SKIP() << "the run ended before it could be interrupted";
+  ASSERT_TRUE(std::filesystem::exists(scratch / "avatar/checkpoint.safetensors"))
+      << read_text(scratch / "err");
+  EXPECT_TRUE(contains(read_text(scratch / "err"), "--resume"));
+  EXPECT_EQ(run(common + " --resume").code, 0);
+  EXPECT_TRUE(std::filesystem::exists(scratch / "avatar/avatar.json"));
+}
+
+}  // namespace
+}  // namespace effigy
