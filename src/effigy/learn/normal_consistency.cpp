@@ -4,124 +4,37 @@
 #include <cstdint>
 
 #include "effigy/base/error.h"
-#include "effigy/base/simd.h"
 #include "effigy/base/threads.h"
 #include "effigy/splat/surfel_raster.h"
 
-namespace effigy {
-namespace {
+#undef HWY_TARGET_INCLUDE
+#define HWY_TARGET_INCLUDE "effigy/learn/normal_consistency.cpp"
+#include <hwy/foreach_target.h>
+#include <hwy/highway.h>
 
-// Rotation (row-major) and the rays' coefficients: ray x = (column + .5 - cx) / fx.
-struct View {
+#ifndef EFFIGY_LEARN_NORMAL_CONSISTENCY_ONCE
+#define EFFIGY_LEARN_NORMAL_CONSISTENCY_ONCE
+namespace effigy {
+
+// Rotation (row-major) and the rays' coefficients: ray x = (column + offset_x) / fx.
+struct ConsistencyView {
   float rotation[9];
   float inverse_fx, inverse_fy, offset_x, offset_y;
 };
 
-// Rows of one pixel row; depth rows hold expected depths, 0 where alpha is too small. Each pointer
-// is at column 1 and `count` interior columns are processed.
-struct PixelRow {
+// One row of pixels. Each pointer is at column 1, and `count` interior columns are processed.
+// Depths are expected depths, 0 where alpha is too small.
+struct ConsistencyRow {
   size_t count;
   float y;  // row index
   const float *depth, *up, *down, *alpha;
   const float *nx, *ny, *nz;
-  float* value;                         // alpha - n . N where the pixel counts
-  float *right, *left, *below, *above;  // gradient with respect to the four neighbours' depths
+  // Of the backward pass (right null: values only): the gradient with respect to the depths of the
+  // four neighbours (written), and to the normals (added).
+  float *right, *left, *below, *above;
   float *d_nx, *d_ny, *d_nz;
   float scale;  // weight / number of pixels that count
 };
-
-EFFIGY_CLONES void expected_depth_row(const float* __restrict depth, const float* __restrict alpha,
-                                      float* __restrict out, size_t count, float min_alpha) {
-  for (size_t i = 0; i < count; ++i) {
-    const float a = alpha[i] > min_alpha ? alpha[i] : 1.0f;
-    const float z = depth[i] / a;
-    out[i] = alpha[i] > min_alpha ? z : 0.0f;
-  }
-}
-
-// Pixels of a row whose own and four neighbours' depths are there.
-EFFIGY_CLONES uint32_t count_row(const float* __restrict depth, const float* __restrict up,
-                                 const float* __restrict down, size_t count) {
-  uint32_t total = 0;
-  for (size_t i = 0; i < count; ++i) {
-    const uint32_t counts = (depth[i] > 0.0f ? 1u : 0u) & (depth[i - 1] > 0.0f ? 1u : 0u) &
-                            (depth[i + 1] > 0.0f ? 1u : 0u) & (up[i] > 0.0f ? 1u : 0u) &
-                            (down[i] > 0.0f ? 1u : 0u);
-    total += counts;
-  }
-  return total;
-}
-
-template <bool kBackward>
-__attribute__((always_inline)) inline void consistency_row(const PixelRow& row, const View& view) {
-  const float* __restrict depth = row.depth;
-  const float* __restrict up = row.up;
-  const float* __restrict down = row.down;
-  const float* __restrict alpha = row.alpha;
-  const float* __restrict world_x = row.nx;
-  const float* __restrict world_y = row.ny;
-  const float* __restrict world_z = row.nz;
-  float* __restrict value = row.value;
-  float* __restrict right = row.right;
-  float* __restrict left = row.left;
-  float* __restrict below = row.below;
-  float* __restrict above = row.above;
-  float* __restrict d_x = row.d_nx;
-  float* __restrict d_y = row.d_ny;
-  float* __restrict d_z = row.d_nz;
-  const float* r = view.rotation;
-  const float r00 = r[0], r01 = r[1], r02 = r[2], r10 = r[3], r11 = r[4], r12 = r[5];
-  const float r20 = r[6], r21 = r[7], r22 = r[8];
-  const float ray_y = (row.y + view.offset_y) * view.inverse_fy;
-  const float ray_up = (row.y - 1.0f + view.offset_y) * view.inverse_fy;
-  const float ray_down = (row.y + 1.0f + view.offset_y) * view.inverse_fy;
-  const float inverse_fx = view.inverse_fx, offset_x = view.offset_x, scale = row.scale;
-  for (int32_t i = 0; i < static_cast<int32_t>(row.count); ++i) {
-    const float ray_x = (static_cast<float>(i + 1) + offset_x) * inverse_fx;
-    const float ray_left = ray_x - inverse_fx, ray_right = ray_x + inverse_fx;
-    const float zl = depth[i - 1], zr = depth[i + 1], zu = up[i], zd = down[i];
-    const float ax = zr * ray_right - zl * ray_left, ay = (zr - zl) * ray_y, az = zr - zl;
-    const float bx = (zd - zu) * ray_x, by = zd * ray_down - zu * ray_up, bz = zd - zu;
-    const float cx = by * az - bz * ay, cy = bz * ax - bx * az, cz = bx * ay - by * ax;
-    const float squares = cx * cx + cy * cy + cz * cz;
-    // A vanishing cross product (pixels closer than a micrometre) has no direction: flat towards
-    // the camera, without gradient.
-    const bool counts = (depth[i] > 0.0f) & (zl > 0.0f) & (zr > 0.0f) & (zu > 0.0f) & (zd > 0.0f);
-    const bool solid = counts & (squares > 1e-30f);
-    const float inverse = 1.0f / std::sqrt(solid ? squares : 1.0f);
-    const float nx = solid ? cx * inverse : 0.0f, ny = solid ? cy * inverse : 0.0f;
-    const float nz = solid ? cz * inverse : -1.0f;
-    const float wx = world_x[i], wy = world_y[i], wz = world_z[i];
-    const float mx = r00 * wx + r01 * wy + r02 * wz;
-    const float my = r10 * wx + r11 * wy + r12 * wz;
-    const float mz = r20 * wx + r21 * wy + r22 * wz;
-    const float along = mx * nx + my * ny + mz * nz;
-    value[i] = counts ? alpha[i] - along : 0.0f;
-    if constexpr (kBackward) {
-      const float s = counts ? -scale : 0.0f;
-      d_x[i] += s * (r00 * nx + r10 * ny + r20 * nz);
-      d_y[i] += s * (r01 * nx + r11 * ny + r21 * nz);
-      d_z[i] += s * (r02 * nx + r12 * ny + r22 * nz);
-      // Through the normalisation to the cross product c = b x a: db = a x dc, da = dc x b.
-      const float t = solid ? -scale * inverse : 0.0f;
-      const float gx = t * (mx - along * nx), gy = t * (my - along * ny);
-      const float gz = t * (mz - along * nz);
-      const float dbx = ay * gz - az * gy, dby = az * gx - ax * gz, dbz = ax * gy - ay * gx;
-      const float dax = gy * bz - gz * by, day = gz * bx - gx * bz, daz = gx * by - gy * bx;
-      right[i] = dax * ray_right + day * ray_y + daz;
-      left[i] = -(dax * ray_left + day * ray_y + daz);
-      below[i] = dbx * ray_x + dby * ray_down + dbz;
-      above[i] = -(dbx * ray_x + dby * ray_up + dbz);
-    }
-  }
-}
-
-EFFIGY_CLONES void consistency_backward(const PixelRow& row, const View& view) {
-  consistency_row<true>(row, view);
-}
-EFFIGY_CLONES void consistency_value(const PixelRow& row, const View& view) {
-  consistency_row<false>(row, view);
-}
 
 // What a pixel's four neighbours want of its depth; z = D / alpha.
 struct DepthRow {
@@ -132,23 +45,152 @@ struct DepthRow {
   float *d_depth, *d_alpha;
 };
 
-EFFIGY_CLONES void depth_gradient_row(const DepthRow& row) {
-  const float* __restrict right = row.right;
-  const float* __restrict left = row.left;
-  const float* __restrict below = row.below;
-  const float* __restrict above = row.above;
-  const float* __restrict depth = row.depth;
-  const float* __restrict alpha = row.alpha;
-  float* __restrict d_depth = row.d_depth;
-  float* __restrict d_alpha = row.d_alpha;
-  for (size_t i = 0; i < row.count; ++i) {
-    const float gradient = right[i - 1] + left[i + 1] + below[i] + above[i];
-    const float a = depth[i] > 0.0f ? alpha[i] : 1.0f;
-    const float g = depth[i] > 0.0f ? gradient / a : 0.0f;
-    d_depth[i] += g;
-    d_alpha[i] -= g * depth[i];
-  }
+}  // namespace effigy
+#endif  // EFFIGY_LEARN_NORMAL_CONSISTENCY_ONCE
+
+HWY_BEFORE_NAMESPACE();
+namespace effigy::HWY_NAMESPACE {
+namespace hn = hwy::HWY_NAMESPACE;
+
+// Calls body(tag, i) for whole vectors and then for single columns.
+template <typename Body>
+HWY_INLINE void for_columns(size_t count, const Body& body) {
+  const hn::ScalableTag<float> full;
+  const hn::CappedTag<float, 1> single;
+  size_t i = 0;
+  for (; i + hn::Lanes(full) <= count; i += hn::Lanes(full)) body(full, i);
+  for (; i < count; ++i) body(single, i);
 }
+
+void expected_depth_row(const float* depth, const float* alpha, float* out, size_t count,
+                        float min_alpha) {
+  for_columns(count, [&](auto d, size_t i) HWY_ATTR {
+    const auto a = hn::LoadU(d, alpha + i);
+    const auto z = hn::Div(hn::LoadU(d, depth + i), a);
+    hn::StoreU(hn::IfThenElseZero(hn::Gt(a, hn::Set(d, min_alpha)), z), d, out + i);
+  });
+}
+
+template <typename D>
+HWY_INLINE hn::Mask<D> pixel_counts(D d, const float* depth, const float* up, const float* down) {
+  const auto zero = hn::Zero(d);
+  // The smallest of the five depths is positive.
+  const auto sides = hn::Min(hn::LoadU(d, depth - 1), hn::LoadU(d, depth + 1));
+  const auto ends = hn::Min(hn::LoadU(d, up), hn::LoadU(d, down));
+  return hn::Gt(hn::Min(hn::Min(sides, ends), hn::LoadU(d, depth)), zero);
+}
+
+size_t count_row(const float* depth, const float* up, const float* down, size_t count) {
+  size_t total = 0;
+  for_columns(count, [&](auto d, size_t i) HWY_ATTR {
+    total += hn::CountTrue(d, pixel_counts(d, depth + i, up + i, down + i));
+  });
+  return total;
+}
+
+template <bool kBackward, typename D>
+HWY_INLINE hn::Vec<D> consistency(D d, const ConsistencyRow& row, const ConsistencyView& view,
+                                  size_t i) {
+  using V = hn::Vec<D>;
+  const auto set = [&](float value) HWY_ATTR { return hn::Set(d, value); };
+  const auto load = [&](const float* from) HWY_ATTR { return hn::LoadU(d, from + i); };
+  const float* r = view.rotation;
+  const V inverse_fx = set(view.inverse_fx), one = set(1.0f);
+  const V ray_y = set((row.y + view.offset_y) * view.inverse_fy);
+  const V ray_up = set((row.y - 1.0f + view.offset_y) * view.inverse_fy);
+  const V ray_down = set((row.y + 1.0f + view.offset_y) * view.inverse_fy);
+  const V column = hn::Iota(d, static_cast<float>(i + 1));
+  const V ray_x = hn::Mul(hn::Add(column, set(view.offset_x)), inverse_fx);
+  const V ray_left = hn::Sub(ray_x, inverse_fx), ray_right = hn::Add(ray_x, inverse_fx);
+  const V zl = load(row.depth - 1), zr = load(row.depth + 1), zu = load(row.up),
+          zd = load(row.down);
+  // a = X(x+1) - X(x-1), b = X(y+1) - X(y-1), c = b x a.
+  const V az = hn::Sub(zr, zl), ay = hn::Mul(az, ray_y);
+  const V ax = hn::MulSub(zr, ray_right, hn::Mul(zl, ray_left));
+  const V bz = hn::Sub(zd, zu), bx = hn::Mul(bz, ray_x);
+  const V by = hn::MulSub(zd, ray_down, hn::Mul(zu, ray_up));
+  const V cx = hn::MulSub(by, az, hn::Mul(bz, ay));
+  const V cy = hn::MulSub(bz, ax, hn::Mul(bx, az));
+  const V cz = hn::MulSub(bx, ay, hn::Mul(by, ax));
+  const V squares = hn::MulAdd(cx, cx, hn::MulAdd(cy, cy, hn::Mul(cz, cz)));
+  // A vanishing cross product (neighbours closer than a micrometre) has no direction: flat towards
+  // the camera, no gradient.
+  const auto counts = pixel_counts(d, row.depth + i, row.up + i, row.down + i);
+  const auto solid = hn::And(counts, hn::Gt(squares, set(1e-30f)));
+  const V inverse = hn::IfThenElseZero(solid, hn::Div(one, hn::Sqrt(squares)));
+  const V nx = hn::Mul(cx, inverse), ny = hn::Mul(cy, inverse);
+  const V nz = hn::IfThenElse(solid, hn::Mul(cz, inverse), set(-1.0f));
+  // The accumulated normal in camera axes.
+  const V wx = load(row.nx), wy = load(row.ny), wz = load(row.nz);
+  const auto turned = [&](int k) HWY_ATTR {
+    return hn::MulAdd(set(r[3 * k]), wx,
+                      hn::MulAdd(set(r[3 * k + 1]), wy, hn::Mul(set(r[3 * k + 2]), wz)));
+  };
+  const V mx = turned(0), my = turned(1), mz = turned(2);
+  const V along = hn::MulAdd(mx, nx, hn::MulAdd(my, ny, hn::Mul(mz, nz)));
+  const V value = hn::IfThenElseZero(counts, hn::Sub(load(row.alpha), along));
+  if constexpr (kBackward) {
+    const V s = hn::IfThenElseZero(counts, set(-row.scale));
+    float* const d_normal[3] = {row.d_nx, row.d_ny, row.d_nz};
+    for (int k = 0; k < 3; ++k) {
+      const V world =
+          hn::MulAdd(set(r[k]), nx, hn::MulAdd(set(r[3 + k]), ny, hn::Mul(set(r[6 + k]), nz)));
+      hn::StoreU(hn::MulAdd(s, world, load(d_normal[k])), d, d_normal[k] + i);
+    }
+    // Through the normalisation to c, then db = a x dc, da = dc x b.
+    const V t = hn::Mul(set(-row.scale), inverse);
+    const V gx = hn::Mul(t, hn::NegMulAdd(along, nx, mx));
+    const V gy = hn::Mul(t, hn::NegMulAdd(along, ny, my));
+    const V gz = hn::Mul(t, hn::NegMulAdd(along, nz, mz));
+    const V dbx = hn::MulSub(ay, gz, hn::Mul(az, gy));
+    const V dby = hn::MulSub(az, gx, hn::Mul(ax, gz));
+    const V dbz = hn::MulSub(ax, gy, hn::Mul(ay, gx));
+    const V dax = hn::MulSub(gy, bz, hn::Mul(gz, by));
+    const V day = hn::MulSub(gz, bx, hn::Mul(gx, bz));
+    const V daz = hn::MulSub(gx, by, hn::Mul(gy, bx));
+    const V horizontal = hn::MulAdd(day, ray_y, daz), vertical = hn::MulAdd(dbx, ray_x, dbz);
+    hn::StoreU(hn::MulAdd(dax, ray_right, horizontal), d, row.right + i);
+    hn::StoreU(hn::Neg(hn::MulAdd(dax, ray_left, horizontal)), d, row.left + i);
+    hn::StoreU(hn::MulAdd(dby, ray_down, vertical), d, row.below + i);
+    hn::StoreU(hn::Neg(hn::MulAdd(dby, ray_up, vertical)), d, row.above + i);
+  }
+  return value;
+}
+
+// Returns the sum of alpha - n . N over the pixels of the row that count.
+double consistency_row(const ConsistencyRow& row, const ConsistencyView& view) {
+  double sum = 0;
+  for_columns(row.count, [&](auto d, size_t i) HWY_ATTR {
+    const auto value = row.right == nullptr ? consistency<false>(d, row, view, i)
+                                            : consistency<true>(d, row, view, i);
+    sum += static_cast<double>(hn::GetLane(hn::SumOfLanes(d, value)));
+  });
+  return sum;
+}
+
+void depth_gradient_row(const DepthRow& row) {
+  for_columns(row.count, [&](auto d, size_t i) HWY_ATTR {
+    const auto sides = hn::Add(hn::LoadU(d, row.right + i - 1), hn::LoadU(d, row.left + i + 1));
+    const auto ends = hn::Add(hn::LoadU(d, row.below + i), hn::LoadU(d, row.above + i));
+    const auto z = hn::LoadU(d, row.depth + i);
+    const auto g = hn::IfThenElseZero(hn::Gt(z, hn::Zero(d)),
+                                      hn::Div(hn::Add(sides, ends), hn::LoadU(d, row.alpha + i)));
+    hn::StoreU(hn::Add(hn::LoadU(d, row.d_depth + i), g), d, row.d_depth + i);
+    hn::StoreU(hn::NegMulAdd(g, z, hn::LoadU(d, row.d_alpha + i)), d, row.d_alpha + i);
+  });
+}
+
+}  // namespace effigy::HWY_NAMESPACE
+HWY_AFTER_NAMESPACE();
+
+#if HWY_ONCE
+namespace effigy {
+namespace {
+
+HWY_EXPORT(expected_depth_row);
+HWY_EXPORT(count_row);
+HWY_EXPORT(consistency_row);
+HWY_EXPORT(depth_gradient_row);
 
 }  // namespace
 
@@ -166,12 +208,11 @@ double normal_consistency_loss(const Planes& gbuffer, const Camera& camera,
   const size_t height = static_cast<size_t>(gbuffer.height);
   // Padded planes: one column on each side and one row above and below stay zero.
   const size_t pitch = width + 2, plane = pitch * (height + 2);
-  scratch.assign((d_gbuffer == nullptr ? 1 : 5) * plane + height * width, 0.0f);
+  scratch.assign((d_gbuffer == nullptr ? 1 : 5) * plane, 0.0f);
   const auto padded = [&](size_t which, size_t y) {
     return scratch.data() + which * plane + (y + 1) * pitch + 1;
   };
-  float* const values = scratch.data() + (scratch.size() - height * width);
-  View view;
+  ConsistencyView view;
   for (int i = 0; i < 9; ++i)
     view.rotation[i] = static_cast<float>(camera.camera_from_world_rotation(i / 3, i % 3));
   view.inverse_fx = static_cast<float>(1.0 / camera.fx);
@@ -180,17 +221,18 @@ double normal_consistency_loss(const Planes& gbuffer, const Camera& camera,
   view.offset_y = static_cast<float>(0.5 - camera.cy);
 
   parallel_for(height, 16, [&](size_t begin, size_t end, int) {
-    for (size_t y = begin; y < end; ++y)
-      expected_depth_row(gbuffer.plane(kDepth) + y * width, gbuffer.plane(kAlpha) + y * width,
-                         padded(0, y), width, options.min_alpha);
+    for (size_t y = begin; y < end; ++y) HWY_DYNAMIC_DISPATCH(expected_depth_row)
+    (gbuffer.plane(kDepth) + y * width, gbuffer.plane(kAlpha) + y * width, padded(0, y), width,
+     options.min_alpha);
   });
-  std::vector<uint32_t> counts(height);
+  std::vector<size_t> counts(height);
   parallel_for(height, 16, [&](size_t begin, size_t end, int) {
     for (size_t y = begin; y < end; ++y)
-      counts[y] = count_row(padded(0, y), padded(0, y) - pitch, padded(0, y) + pitch, width);
+      counts[y] = HWY_DYNAMIC_DISPATCH(count_row)(padded(0, y), padded(0, y) - pitch,
+                                                  padded(0, y) + pitch, width);
   });
   size_t count = 0;
-  for (const uint32_t row : counts) count += row;
+  for (const size_t row : counts) count += row;
   if (count == 0) return 0.0;
   const float scale = static_cast<float>(weight / static_cast<double>(count));
 
@@ -199,7 +241,7 @@ double normal_consistency_loss(const Planes& gbuffer, const Camera& camera,
     for (size_t y = begin; y < end; ++y) {
       if (counts[y] == 0) continue;
       const size_t at = y * width + 1;
-      PixelRow row{};
+      ConsistencyRow row{};
       row.count = width - 2;
       row.y = static_cast<float>(y);
       row.depth = padded(0, y) + 1;
@@ -209,11 +251,8 @@ double normal_consistency_loss(const Planes& gbuffer, const Camera& camera,
       row.nx = gbuffer.plane(kNormal) + at;
       row.ny = gbuffer.plane(kNormal + 1) + at;
       row.nz = gbuffer.plane(kNormal + 2) + at;
-      row.value = values + at;
       row.scale = scale;
-      if (d_gbuffer == nullptr) {
-        consistency_value(row, view);
-      } else {
+      if (d_gbuffer != nullptr) {
         row.right = padded(1, y) + 1;
         row.left = padded(2, y) + 1;
         row.below = padded(3, y) + 1;
@@ -221,11 +260,8 @@ double normal_consistency_loss(const Planes& gbuffer, const Camera& camera,
         row.d_nx = d_gbuffer->plane(kNormal) + at;
         row.d_ny = d_gbuffer->plane(kNormal + 1) + at;
         row.d_nz = d_gbuffer->plane(kNormal + 2) + at;
-        consistency_backward(row, view);
       }
-      double sum = 0;
-      for (size_t i = 0; i < row.count; ++i) sum += static_cast<double>(row.value[i]);
-      sums[y] = sum;
+      sums[y] = HWY_DYNAMIC_DISPATCH(consistency_row)(row, view);
     }
   });
   if (d_gbuffer != nullptr)
@@ -241,7 +277,7 @@ double normal_consistency_loss(const Planes& gbuffer, const Camera& camera,
         row.alpha = gbuffer.plane(kAlpha) + y * width;
         row.d_depth = d_gbuffer->plane(kDepth) + y * width;
         row.d_alpha = d_gbuffer->plane(kAlpha) + y * width;
-        depth_gradient_row(row);
+        HWY_DYNAMIC_DISPATCH(depth_gradient_row)(row);
         if (options.detach_alpha || counts[y] == 0) continue;
         const float *z = row.depth, *up = z - pitch, *down = z + pitch;
         for (size_t x = 1; x + 1 < width; ++x)
@@ -255,3 +291,4 @@ double normal_consistency_loss(const Planes& gbuffer, const Camera& camera,
 }
 
 }  // namespace effigy
+#endif  // HWY_ONCE
