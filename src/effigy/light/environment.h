@@ -41,12 +41,24 @@ Vec3f sample_cubemap(const Cubemap& cubemap, const Vec3f& direction);
 // What shading reads: L(n, 0) for diffuse (irradiance / pi) and GGX-prefiltered levels.
 struct PrefilteredEnvironment {
   Cubemap diffuse;
-  std::vector<Cubemap> specular;   // per level
-  std::vector<float> roughness;    // of each level, ascending, first .. last cover [0, 1]
+  std::vector<Cubemap> specular;  // per level
+  std::vector<float> roughness;   // of each level, ascending, first .. last cover [0, 1]
 };
 
-// The linear map radiance cubemap -> PrefilteredEnvironment, precomputed for one size, with its
-// transpose. Weights of each output texel sum to 1 (specular) or to 1 for constant light (diffuse).
+// The linear map radiance cubemap -> PrefilteredEnvironment with its exact transpose. Specular
+// level r holds, for every reflection direction R, the split-sum lobe (Karis 2013 with N = V = R):
+//   integral of L(l) D(h) (R.l) dl / integral of D(h) (R.l) dl,  h = normalize(R + l),
+// GGX D with alpha = r^2; level 0 is the source itself; diffuse holds the integral of L(l)
+// (n.l)/pi. Weights of each output texel sum to 1, so constant light gives exactly its value.
+//
+// Levels for sources up to 32^2: r = 0 .2 .3 .4 .5 .65 .8 1 of sizes 32 32 32 16 16 16 8 8, diffuse
+// 16 (a texel is at most about a quarter of the lobe's width); larger sources add r = .1 and .14.
+//
+// Each output texel's integral is a quadrature over the source's pyramid, fine where the lobe bends
+// (prefilter_rows.h). Against the full sum over source texels, a lamp of one texel is off by at
+// most 2 % of the lobe's peak response (typically under 0.5 %), noise by some 1e-3. Weights are
+// built once per size and shared by the process: 32^2 some 2 MB, 128^2 20 MB. Safe to use from several
+// threads. `source_size`: a power of two in [2, 1024].
 class Prefilter {
  public:
   // source_size: e.g. 32 for the learned light, 128 or more for HDRIs.
@@ -56,14 +68,16 @@ class Prefilter {
   // Zeroed gradients in the shape forward returns.
   PrefilteredEnvironment zero_like() const;
   // Adds the transpose applied to `gradient` to d_radiance (same size as the source).
+  // Bit-reproducible for a given thread count.
   void backward(const PrefilteredEnvironment& gradient, Cubemap& d_radiance) const;
 
  private:
   struct State;
-  std::unique_ptr<State> state_;
+  std::shared_ptr<const State> state_;
 };
 
-// One-shot prefilter of an HDRI for relighting (as Prefilter::forward on a cubemap of the HDRI).
+// One-shot prefilter of an HDRI for relighting: Prefilter::forward on a cubemap of the HDRI, of
+// 128^2 or the size its resolution fills; `scale` multiplies the radiance (exposure).
 PrefilteredEnvironment prefilter_environment(const Image& equirectangular, double rotation = 0.0,
                                              double scale = 1.0);
 
