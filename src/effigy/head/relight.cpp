@@ -1,0 +1,134 @@
+#include "effigy/head/relight.h"
+
+#include <cmath>
+
+#include "effigy/base/progress.h"
+#include "effigy/image/files.h"
+#include "effigy/image/metrics.h"
+
+namespace effigy {
+namespace {
+
+struct Mean {
+  double sum = 0;
+  int count = 0;
+  void add(double value) {
+    sum += value;
+    ++count;
+  }
+  double value() const { return count > 0 ? sum / count : 0.0; }
+};
+
+Path file_inside(const Json& json, const std::string& field, const Path& file) {
+  const Path path = json_field<std::string>(json, field, file);
+  for (const Path& part : path)
+    if (part == ".." || path.is_absolute())
+      throw Error(file.string() +
+                  ": field 'relight' names a file outside the capture; correct it.");
+  return path;
+}
+
+PrefilteredEnvironment scaled(PrefilteredEnvironment light, double scale) {
+  for (float& v : light.diffuse.texels) v *= static_cast<float>(scale);
+  for (Cubemap& level : light.specular)
+    for (float& v : level.texels) v *= static_cast<float>(scale);
+  return light;
+}
+
+Image rounded(const Planes& planes) {
+  return to_float(to_8bit(to_image(planes)));
+}
+
+Image truth_of(const Capture& capture, const Path& path) {
+  const Image image = to_float(read_image8(capture.folder / path));
+  if (image.channels != 3 || image.width != capture.camera.width ||
+      image.height != capture.camera.height)
+    throw Error((capture.folder / path).string() + ": not an RGB image of the capture's size.");
+  return image;
+}
+
+// Least-squares scale between linear pixel values, over all frames of the set.
+double best_scale(HeadRenderer& renderer, const Capture& capture, const RelightSet& set) {
+  double cross = 0, square = 0;
+  for (const auto& [frame, path] : set.images) {
+    renderer.set_pose(capture.poses[frame]);
+    const Image rendered = to_image(renderer.draw(capture.camera));
+    const Image truth = truth_of(capture, path);
+    for (size_t i = 0; i < truth.data.size(); ++i) {
+      const double r = linear_from_srgb(rendered.data[i]), t = linear_from_srgb(truth.data[i]);
+      cross += r * t;
+      square += r * r;
+    }
+  }
+  return square > 0 && cross > 0 ? cross / square : 1.0;
+}
+
+double mean_psnr(HeadRenderer& renderer, const Capture& capture, const RelightSet& set,
+                 Mean* mean_ssim) {
+  Mean mean;
+  for (const auto& [frame, path] : set.images) {
+    throw_if_interrupted();
+    renderer.set_pose(capture.poses[frame]);
+    const Image rendered = rounded(renderer.draw(capture.camera));
+    const Image truth = truth_of(capture, path);
+    mean.add(psnr(truth, rendered));
+    if (mean_ssim) mean_ssim->add(ssim(truth, rendered));
+  }
+  return mean.value();
+}
+
+}  // namespace
+
+std::vector<RelightSet> relight_sets(const Capture& capture) {
+  std::vector<RelightSet> sets;
+  if (!capture.extra.is_object() || !capture.extra.contains("relight")) return sets;
+  const Path file = capture.folder / "capture.json";
+  std::map<int64_t, int> by_number;
+  for (size_t f = 0; f < capture.frames.size(); ++f)
+    by_number[capture.frames[f].number] = static_cast<int>(f);
+  for (const auto& [name, entry] : capture.extra["relight"].items()) {
+    RelightSet set;
+    set.name = name;
+    set.light = file_inside(entry, "light", file);
+    const Json images = json_field<Json>(entry, "images", file);
+    for (const auto& [number, image] : images.items()) {
+      const auto found = by_number.find(std::strtoll(number.c_str(), nullptr, 10));
+      if (found == by_number.end())
+        throw Error(file.string() + ": field 'relight' names frame " + number +
+                    ", which the capture does not have; correct it.");
+      set.images[found->second] = file_inside(images, number, file);
+    }
+    sets.push_back(std::move(set));
+  }
+  return sets;
+}
+
+Json RelightScores::to_json() const {
+  return {{"psnr", psnr},
+          {"ssim", ssim},
+          {"psnr_aligned", psnr_aligned},
+          {"scale", scale},
+          {"psnr_unlit", psnr_unlit}};
+}
+
+RelightScores score_relight(const HeadAvatar& avatar, const Capture& capture,
+                            const RelightSet& set) {
+  RelightScores scores;
+  HeadRenderer renderer(avatar);
+  const PrefilteredEnvironment own = Prefilter(avatar.environment.size).forward(avatar.environment);
+  const PrefilteredEnvironment light =
+      prefilter_environment(read_environment(capture.folder / set.light));
+  renderer.set_light(light);
+  Mean mean_ssim;
+  scores.psnr = mean_psnr(renderer, capture, set, &mean_ssim);
+  scores.ssim = mean_ssim.value();
+  scores.scale = best_scale(renderer, capture, set);
+  renderer.set_light(scaled(light, scores.scale));
+  scores.psnr_aligned = mean_psnr(renderer, capture, set, nullptr);
+  renderer.set_light(own);
+  renderer.set_light(scaled(own, best_scale(renderer, capture, set)));
+  scores.psnr_unlit = mean_psnr(renderer, capture, set, nullptr);
+  return scores;
+}
+
+}  // namespace effigy
