@@ -9,6 +9,7 @@
 
 #include "effigy/base/random.h"
 #include "effigy/base/threads.h"
+#include "effigy/image/metrics.h"
 
 namespace effigy {
 namespace {
@@ -101,6 +102,14 @@ TEST(ImageLosses, ValuesMatchDefinition) {
     EXPECT_EQ(both.dssim, got.dssim);
     EXPECT_EQ(both.mask, got.mask);
   }
+}
+
+TEST(ImageLosses, DssimIsTheMetricsSsim) {
+  const Scene scene = make_scene(70, 51, 4, {9, 2, 66, 51});
+  const PhotometricLoss loss =
+      photometric_loss(scene.colour, scene.target, {}, {}, {}, nullptr, {});
+  EXPECT_NEAR(1.0 - loss.dssim, ssim(to_image(scene.colour), to_image(scene.target)), 2e-6);
+  EXPECT_EQ(loss.mask, 0.0);
 }
 
 TEST(ImageLosses, EqualImagesGiveZero) {

@@ -211,7 +211,9 @@ HWY_INLINE void gradient_row(const SsimBand& band, int row, const float* const* 
 template <bool kBackward>
 HWY_INLINE void ssim_band(const SsimBand& band) {
   constexpr size_t kAlign = HWY_MAX_BYTES / sizeof(float);
-  const size_t pitch = (static_cast<size_t>(band.width) + kAlign - 1) / kAlign * kAlign;
+  // An odd number of cache lines a row, else all rings' rows fall into the same few cache sets.
+  const size_t lines = (static_cast<size_t>(band.width) + kAlign - 1) / kAlign;
+  const size_t pitch = (lines | 1) * kAlign;
   const size_t padded_pitch = pitch + 2 * kRadius + kAlign;
   const size_t moment_size = kMoments * pitch, derivative_size = kDerivatives * pitch;
   std::vector<float> memory(kTaps * (moment_size + derivative_size) + moment_size +
