@@ -44,8 +44,9 @@ EFFIGY_CLONES void filter_window(const float* in, const float* kernel, int count
   }
 }
 
-EFFIGY_CLONES void ssim_row(const float* mu_a, const float* mu_b, const float* aa, const float* bb,
-                            const float* ab, int count, float* out) {
+EFFIGY_CLONES void ssim_row(const float* __restrict mu_a, const float* __restrict mu_b,
+                            const float* __restrict aa, const float* __restrict bb,
+                            const float* __restrict ab, int count, float* __restrict out) {
   constexpr float c1 = 0.01f * 0.01f, c2 = 0.03f * 0.03f;
   for (int i = 0; i < count; ++i) {
     const float a2 = mu_a[i] * mu_a[i], b2 = mu_b[i] * mu_b[i], m = mu_a[i] * mu_b[i];

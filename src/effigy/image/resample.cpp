@@ -98,9 +98,8 @@ void store(const float* row, size_t count, float* out) {
 }
 EFFIGY_CLONES void store(const float* row, size_t count, uint8_t* out) {
   for (size_t i = 0; i < count; ++i) {
-    const float low = row[i] > 0.0f ? row[i] : 0.0f;
-    const float clamped = low < 255.0f ? low : 255.0f;
-    out[i] = static_cast<uint8_t>(static_cast<int>(clamped + 0.5f));
+    const int rounded = static_cast<int>(row[i] + 0.5f);  // a mean of bytes
+    out[i] = static_cast<uint8_t>(std::clamp(rounded, 0, 255));
   }
 }
 
