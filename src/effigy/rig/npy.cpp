@@ -9,6 +9,7 @@
 #include <memory>
 
 #include "effigy/base/error.h"
+#include "effigy/rig/utf8.h"
 
 namespace effigy {
 namespace {
@@ -186,26 +187,6 @@ std::vector<To> numbers(const NpyArray& a) {
       throw Error("A NumPy array holds text where numbers are expected; use another file.");
   }
   return out;
-}
-
-void append_utf8(uint32_t code, std::string& out) {
-  if (code > 0x10FFFF || (code >= 0xD800 && code < 0xE000)) code = 0xFFFD;
-  const auto tail = [&](int shift) { out += static_cast<char>(0x80 | ((code >> shift) & 0x3F)); };
-  if (code < 0x80) {
-    out += static_cast<char>(code);
-  } else if (code < 0x800) {
-    out += static_cast<char>(0xC0 | (code >> 6));
-    tail(0);
-  } else if (code < 0x10000) {
-    out += static_cast<char>(0xE0 | (code >> 12));
-    tail(6);
-    tail(0);
-  } else {
-    out += static_cast<char>(0xF0 | (code >> 18));
-    tail(12);
-    tail(6);
-    tail(0);
-  }
 }
 
 // The header: a Python dictionary with exactly the keys descr, fortran_order and shape.
