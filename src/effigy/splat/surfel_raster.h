@@ -1,5 +1,5 @@
-// The surfel rasterizer: textured 2D Gaussians (2DGS ray-splat intersection, Huang et al. 2024, with
-// GTAvatar's texture lookup at each intersection), forward and backward.
+// The surfel rasterizer: textured 2D Gaussians (2DGS ray-splat intersection, Huang et al. 2024,
+// with GTAvatar's texture lookup at each intersection), forward and backward.
 //
 // For a pixel's ray, surfels in order of camera z of their centres (ties by index):
 //   (u, v) in sigmas and depth z at the intersection; skipped when z <= near;
@@ -32,13 +32,13 @@ struct MaterialTexture {
 // Planes of a G-buffer (image/image.h Planes with kGBufferPlanes planes).
 enum GBufferPlane : int {
   kAlpha = 0,
-  kDepth = 1,         // sum of w z, camera-space metres
-  kAlbedo = 2,        // 3, linear
+  kDepth = 1,   // sum of w z, camera-space metres
+  kAlbedo = 2,  // 3, linear
   kRoughness = 5,
-  kSpecular = 6,      // F0
-  kNormal = 7,        // 3, world, without the normal map, facing the camera
+  kSpecular = 6,       // F0
+  kNormal = 7,         // 3, world, without the normal map, facing the camera
   kMappedNormal = 10,  // 3, world, with the normal map
-  kUv = 13,           // 2
+  kUv = 13,            // 2
   kUvDistortion = 15,
   kGBufferPlanes = 16,
 };

@@ -1,0 +1,28 @@
+#include "effigy/splat/surfel_kernels.h"
+
+// Vectors of unknown size cannot be members of structs.
+#define HWY_DISABLED_TARGETS (HWY_SVE | HWY_SVE2 | HWY_SVE_256 | HWY_SVE2_128 | HWY_RVV)
+#undef HWY_TARGET_INCLUDE
+#define HWY_TARGET_INCLUDE "effigy/splat/surfel_kernels.cpp"
+#include "hwy/foreach_target.h"
+//
+#include "effigy/splat/surfel_kernels-inl.h"
+
+HWY_BEFORE_NAMESPACE();
+namespace effigy {
+namespace HWY_NAMESPACE {
+SurfelKernels surfel_kernels() {
+  return kernels();
+}
+}  // namespace HWY_NAMESPACE
+}  // namespace effigy
+HWY_AFTER_NAMESPACE();
+
+#if HWY_ONCE
+namespace effigy {
+HWY_EXPORT(surfel_kernels);
+SurfelKernels best_surfel_kernels() {
+  return HWY_DYNAMIC_DISPATCH(surfel_kernels)();
+}
+}  // namespace effigy
+#endif

@@ -1,0 +1,103 @@
+// The inner loops of the surfel rasterizer, one tile at a time. Internal to splat/; the code is in
+// surfel_kernels-inl.h, compiled once per instruction set.
+#pragma once
+
+#include <algorithm>
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <new>
+#include <vector>
+
+#include "effigy/splat/surfel_prepare.h"
+#include "effigy/splat/surfel_raster.h"
+#include "effigy/splat/tile_bins.h"
+
+namespace effigy {
+
+inline constexpr int kTilePixels = kTileSize * kTileSize;
+
+// What every tile of a frame shares.
+struct SurfelScene {
+  const SurfelRecord* records = nullptr;
+  const SurfelOutline* outlines = nullptr;
+  const float* texels = nullptr;  // 8 floats each, row 0 = v 0
+  int texture_width = 0, texture_height = 0;
+  float near = 0.0f;
+  bool low_pass = false;
+  UvDistortion uv_distortion = UvDistortion::kOff;
+  float uv_threshold = 0.0f;
+};
+
+struct SurfelTile {
+  int x = 0, y = 0, width = 0, height = 0;  // pixels; width and height <= kTileSize
+  const uint32_t* entries = nullptr;
+  size_t count = 0;
+};
+
+// Growing array of floats on a 64-byte boundary; growing loses what it held.
+class AlignedFloats {
+ public:
+  void reserve(size_t count) {
+    if (count <= size_) return;
+    data_.reset(static_cast<float*>(::operator new(count * sizeof(float), kAlignment)));
+    std::fill_n(data_.get(), count, 0.0f);
+    size_ = count;
+  }
+  size_t size() const { return size_; }
+  float* data() { return data_.get(); }
+  float& operator[](size_t i) { return data_[i]; }
+  const float& operator[](size_t i) const { return data_[i]; }
+
+ private:
+  static constexpr std::align_val_t kAlignment{64};
+  struct Free {
+    void operator()(float* p) const { ::operator delete(p, kAlignment); }
+  };
+  std::unique_ptr<float[], Free> data_;
+  size_t size_ = 0;
+};
+
+// Memory of one thread, all arrays [plane][row][column] of the tile.
+struct alignas(64) SurfelWorkspace {
+  float transmittance[kTilePixels];  // 0 once a pixel is finished
+  float out[kGBufferPlanes][kTilePixels];
+  float grad[kGBufferPlanes][kTilePixels];  // backward: derivative of the loss
+  float remaining[kTilePixels];  // backward: sum of w dL/dw over the surfels not yet replayed
+  int64_t pairs = 0;             // blended in the last tile
+  size_t used = 0;               // entries walked before every pixel was finished
+
+  // UV distortion: per pixel the weights and uv of its surfels, [entry][pixel].
+  int32_t listed[kTilePixels];  // entries of each pixel
+  int32_t cursor[kTilePixels];
+  uint8_t closed[kTilePixels];  // past the threshold
+  AlignedFloats list_w, list_u, list_v, list_h, list_qu, list_qv;
+};
+
+// Gradient buffers of one thread.
+struct SurfelGradientBuffers {
+  float* texels = nullptr;     // 8 floats a texel
+  uint8_t* touched = nullptr;  // one byte per kTexelBlock texels whose upper-left tap is inside
+  float* sums = nullptr;       // SurfelSums::kCount floats a record
+};
+inline constexpr int kTexelBlock = 64;
+
+struct SurfelKernels {
+  // Fills workspace.out (all planes but those of the image outside the tile), pairs and used.
+  void (*forward)(const SurfelScene&, const SurfelTile&, SurfelWorkspace&);
+  // Needs workspace.grad and workspace.remaining; adds to the buffers.
+  void (*backward)(const SurfelScene&, const SurfelTile&, SurfelWorkspace&,
+                   const SurfelGradientBuffers&);
+  const char* target;  // name of the instruction set
+};
+
+// The best this machine has (respects hwy::SetSupportedTargetsForTest).
+SurfelKernels best_surfel_kernels();
+// The same source compiled for one lane.
+SurfelKernels scalar_surfel_kernels();
+
+// Which kernels render_surfels and its companions use; kScalar is for tests and benchmarks.
+enum class KernelChoice { kBest, kScalar };
+void choose_surfel_kernels(KernelChoice choice);
+
+}  // namespace effigy

@@ -1,0 +1,298 @@
+#include "effigy/splat/surfel_raster.h"
+
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+#include <cstring>
+#include <string>
+
+#include "effigy/base/error.h"
+#include "effigy/base/threads.h"
+#include "effigy/splat/surfel_kernels.h"
+#include "effigy/splat/surfel_prepare.h"
+#include "effigy/splat/tile_bins.h"
+
+namespace effigy {
+namespace {
+
+constexpr int kLargestTexture = 16384;
+constexpr int kLargestImage = 32768;
+
+std::atomic<KernelChoice> g_choice{KernelChoice::kBest};
+
+SurfelKernels chosen_kernels() {
+  return g_choice == KernelChoice::kScalar ? scalar_surfel_kernels() : best_surfel_kernels();
+}
+
+void check_arguments(const Camera& camera, const PosedSurfels& s, const MaterialTexture& texture) {
+  const size_t n = s.count();
+  EFFIGY_CHECK_EQ(s.center.size(), 3 * n);
+  EFFIGY_CHECK_EQ(s.s.size(), 3 * n);
+  EFFIGY_CHECK_EQ(s.t.size(), 3 * n);
+  EFFIGY_CHECK_EQ(s.uv.size(), 2 * n);
+  EFFIGY_CHECK_EQ(s.uv_per_st.size(), 4 * n);
+  EFFIGY_CHECK_EQ(s.frame.size(), 9 * n);
+  if (camera.width < 1 || camera.height < 1 || camera.width > kLargestImage ||
+      camera.height > kLargestImage)
+    throw Error("An image of " + std::to_string(camera.width) + " x " +
+                std::to_string(camera.height) + " pixels cannot be drawn; each side must be 1 to " +
+                std::to_string(kLargestImage) + ".");
+  const bool sound = std::isfinite(camera.fx) && std::isfinite(camera.fy) && camera.fx != 0.0 &&
+                     camera.fy != 0.0 && std::isfinite(camera.cx) && std::isfinite(camera.cy) &&
+                     camera.camera_from_world_rotation.allFinite() &&
+                     camera.camera_from_world_translation.allFinite();
+  if (!sound)
+    throw Error("The camera has a focal length of zero or a value that is not finite; check it.");
+  if (texture.width < 1 || texture.height < 1 || texture.width > kLargestTexture ||
+      texture.height > kLargestTexture)
+    throw Error("A texture of " + std::to_string(texture.width) + " x " +
+                std::to_string(texture.height) + " texels cannot be used; each side must be 1 to " +
+                std::to_string(kLargestTexture) + ".");
+  EFFIGY_CHECK_EQ(texture.texels.size(),
+                  8 * static_cast<size_t>(texture.width) * static_cast<size_t>(texture.height));
+}
+
+SurfelTile make_tile(const Camera& camera, const TileBins& bins, int tile) {
+  SurfelTile t;
+  t.x = tile % bins.columns * kTileSize;
+  t.y = tile / bins.columns * kTileSize;
+  t.width = std::min(kTileSize, camera.width - t.x);
+  t.height = std::min(kTileSize, camera.height - t.y);
+  const uint32_t begin = bins.begin[static_cast<size_t>(tile)];
+  t.entries = bins.entries.data() + begin;
+  t.count = bins.begin[static_cast<size_t>(tile) + 1] - begin;
+  return t;
+}
+
+void copy_out(const SurfelTile& tile, const float (*planes)[kTilePixels], int count, Planes& to) {
+  for (int c = 0; c < count; ++c) {
+    for (int y = 0; y < tile.height; ++y)
+      std::memcpy(to.plane(c) + static_cast<size_t>(tile.y + y) * to.width + tile.x,
+                  planes[c] + y * kTileSize, sizeof(float) * static_cast<size_t>(tile.width));
+  }
+}
+
+// The tile's part of the derivatives (0 outside the image), and sum of w dL/dw of every pixel:
+// outputs are sums of w times something, so it is output times derivative (twice for the
+// distortion, which is of degree two in w).
+void copy_in(const SurfelTile& tile, const Planes& values, const Planes& d_values, bool distortion,
+             SurfelWorkspace& ws) {
+  const int used = distortion ? kGBufferPlanes : kUvDistortion;
+  std::memset(ws.grad, 0, sizeof(ws.grad));
+  std::memset(ws.remaining, 0, sizeof(ws.remaining));
+  for (int c = 0; c < used; ++c) {
+    const float degree = c == kUvDistortion ? 2.0f : 1.0f;
+    for (int y = 0; y < tile.height; ++y) {
+      const size_t at = static_cast<size_t>(tile.y + y) * values.width + tile.x;
+      const float* value = values.plane(c) + at;
+      const float* d = d_values.plane(c) + at;
+      float* grad = ws.grad[c] + y * kTileSize;
+      float* remaining = ws.remaining + y * kTileSize;
+      for (int x = 0; x < tile.width; ++x) {
+        grad[x] = d[x];
+        remaining[x] += degree * value[x] * d[x];
+      }
+    }
+  }
+}
+
+// Tiles [begin[slot], begin[slot + 1]) of each slot, about the same cost each.
+std::vector<int> split_tiles(const std::vector<int64_t>& cost, int slots) {
+  int64_t total = 0;
+  for (const int64_t c : cost) total += c;
+  std::vector<int> begin{0};
+  int64_t sum = 0;
+  for (int tile = 0; tile < static_cast<int>(cost.size()); ++tile) {
+    sum += cost[static_cast<size_t>(tile)];
+    while (static_cast<int>(begin.size()) < slots &&
+           sum * slots >= total * static_cast<int64_t>(begin.size()))
+      begin.push_back(tile + 1);
+  }
+  begin.resize(static_cast<size_t>(slots) + 1, static_cast<int>(cost.size()));
+  begin.back() = static_cast<int>(cost.size());
+  return begin;
+}
+
+void resize_planes(Planes& planes, int width, int height, int count) {
+  planes.width = width;
+  planes.height = height;
+  planes.count = count;
+  planes.data.resize(planes.pixels() * static_cast<size_t>(count));
+}
+
+}  // namespace
+
+void choose_surfel_kernels(KernelChoice choice) {
+  g_choice = choice;
+}
+
+struct SurfelFrame::State {
+  SurfelView view;
+  TileBins bins;
+  std::vector<int64_t> tile_pairs;  // blended, of every tile
+  std::vector<uint32_t> tile_used;  // entries walked until every pixel was finished
+  int64_t pairs = 0;
+  bool can_go_back = false;
+  std::vector<std::unique_ptr<SurfelWorkspace>> workspaces;  // one per slot
+
+  // Backward. Slot 0 adds to the caller's texels; the others have buffers that are all zero between
+  // calls, so that only touched blocks are ever read or cleared.
+  struct Buffers {
+    std::vector<float> texels, sums;
+    std::vector<uint8_t> touched;
+  };
+  std::vector<Buffers> buffers;
+
+  void reserve(int slots) {
+    while (workspaces.size() < static_cast<size_t>(slots))
+      workspaces.push_back(std::make_unique<SurfelWorkspace>());
+  }
+};
+
+SurfelFrame::SurfelFrame() : state(std::make_unique<State>()) {}
+SurfelFrame::~SurfelFrame() = default;
+SurfelFrame::SurfelFrame(SurfelFrame&&) noexcept = default;
+SurfelFrame& SurfelFrame::operator=(SurfelFrame&&) noexcept = default;
+int64_t SurfelFrame::pairs() const {
+  return state->pairs;
+}
+
+namespace {
+
+SurfelScene make_scene(const SurfelView& view, const MaterialTexture& texture,
+                       const SurfelRasterOptions& options) {
+  SurfelScene scene;
+  scene.records = view.records.data();
+  scene.outlines = view.outlines.data();
+  scene.texels = texture.texels.data();
+  scene.texture_width = texture.width;
+  scene.texture_height = texture.height;
+  scene.near = options.near;
+  scene.low_pass = options.low_pass;
+  scene.uv_distortion = options.uv_distortion;
+  scene.uv_threshold = options.uv_distortion_threshold;
+  return scene;
+}
+
+// Adds the buffers of slots 1.. to `texels` in order and clears what it read.
+void reduce_texels(std::vector<SurfelFrame::State::Buffers>& buffers, int slots,
+                   const MaterialTexture& texture, std::vector<float>& texels) {
+  const size_t count = static_cast<size_t>(texture.width) * static_cast<size_t>(texture.height);
+  const size_t blocks = (count + kTexelBlock - 1) / kTexelBlock;
+  const size_t row = texture.height > 1 ? static_cast<size_t>(texture.width) : 0;
+  for (int slot = 1; slot < slots; ++slot) {
+    auto& b = buffers[static_cast<size_t>(slot)];
+    // A tap's other three texels may lie in later blocks.
+    std::vector<uint8_t> reach(blocks);
+    for (size_t k = 0; k < blocks; ++k) {
+      if (!b.touched[k]) continue;
+      const size_t below = (k * kTexelBlock + row) / kTexelBlock;
+      for (const size_t r : {k, k + 1, below, below + 1, below + 2})
+        if (r < blocks) reach[r] = 1;
+      b.touched[k] = 0;
+    }
+    parallel_for(blocks, 64, [&](size_t begin, size_t end, int) {
+      for (size_t k = begin; k < end; ++k) {
+        if (!reach[k]) continue;
+        const size_t first = 8 * k * kTexelBlock, last = 8 * std::min(count, (k + 1) * kTexelBlock);
+        float* to = texels.data();
+        float* from = b.texels.data();
+        for (size_t i = first; i < last; ++i) to[i] += from[i];
+        std::memset(from + first, 0, sizeof(float) * (last - first));
+      }
+    });
+  }
+}
+
+}  // namespace
+
+void render_surfels(const Camera& camera, const PosedSurfels& surfels,
+                    const MaterialTexture& texture, const SurfelRasterOptions& options,
+                    Planes& gbuffer, SurfelFrame& frame) {
+  check_arguments(camera, surfels, texture);
+  SurfelFrame::State& state = *frame.state;
+  resize_planes(gbuffer, camera.width, camera.height, kGBufferPlanes);
+  prepare_surfels(camera, surfels, options.near, options.low_pass, state.view);
+  bin_surfels(state.view, camera.width, camera.height, state.bins);
+  const SurfelScene scene = make_scene(state.view, texture, options);
+  const SurfelKernels kernels = chosen_kernels();
+  const int tiles = state.bins.count(), slots = std::min(thread_count(), tiles);
+  state.tile_pairs.assign(static_cast<size_t>(tiles), 0);
+  state.tile_used.assign(static_cast<size_t>(tiles), 0);
+  state.reserve(slots);
+  // Tiles are independent, so taking the next one as it comes does not change the result.
+  std::atomic<int> next{0};
+  run_slots(slots, [&](int slot) {
+    SurfelWorkspace& ws = *state.workspaces[static_cast<size_t>(slot)];
+    for (int t = next++; t < tiles; t = next++) {
+      const SurfelTile tile = make_tile(camera, state.bins, t);
+      kernels.forward(scene, tile, ws);
+      copy_out(tile, ws.out, kGBufferPlanes, gbuffer);
+      state.tile_pairs[static_cast<size_t>(t)] = ws.pairs;
+      state.tile_used[static_cast<size_t>(t)] = static_cast<uint32_t>(ws.used);
+    }
+  });
+  state.pairs = 0;
+  for (const int64_t p : state.tile_pairs) state.pairs += p;
+  state.can_go_back = true;
+}
+
+void render_surfels_backward(const Camera& camera, const PosedSurfels& surfels,
+                             const MaterialTexture& texture, const SurfelRasterOptions& options,
+                             const Planes& gbuffer, const SurfelFrame& frame,
+                             const Planes& d_gbuffer, PosedSurfels& d_surfels,
+                             std::vector<float>& d_texels) {
+  check_arguments(camera, surfels, texture);
+  SurfelFrame::State& state = *frame.state;
+  EFFIGY_CHECK(state.can_go_back);
+  EFFIGY_CHECK_EQ(d_surfels.count(), surfels.count());
+  EFFIGY_CHECK_EQ(d_texels.size(), texture.texels.size());
+  for (const Planes* p : {&gbuffer, &d_gbuffer}) {
+    EFFIGY_CHECK_EQ(p->width, camera.width);
+    EFFIGY_CHECK_EQ(p->height, camera.height);
+    EFFIGY_CHECK_EQ(p->count, static_cast<int>(kGBufferPlanes));
+  }
+  const SurfelScene scene = make_scene(state.view, texture, options);
+  const SurfelKernels kernels = chosen_kernels();
+  const int tiles = state.bins.count(), slots = std::min(thread_count(), tiles);
+  state.reserve(slots);
+  if (state.buffers.size() < static_cast<size_t>(slots))
+    state.buffers.resize(static_cast<size_t>(slots));
+  const size_t records = state.view.records.size();
+  const size_t blocks = texture.texels.size() / 8 / kTexelBlock + 1;
+  std::vector<int64_t> cost(state.tile_pairs);
+  for (int64_t& c : cost) c += 64;
+  const std::vector<int> split = split_tiles(cost, slots);
+  const bool distortion = options.uv_distortion != UvDistortion::kOff;
+  run_slots(slots, [&](int slot) {
+    SurfelFrame::State::Buffers& b = state.buffers[static_cast<size_t>(slot)];
+    b.sums.assign(records * SurfelSums::kCount, 0.0f);
+    if (slot > 0 && b.texels.size() != d_texels.size()) b.texels.assign(d_texels.size(), 0.0f);
+    if (b.touched.size() != blocks) b.touched.assign(blocks, 0);
+    const SurfelGradientBuffers out{slot == 0 ? d_texels.data() : b.texels.data(), b.touched.data(),
+                                    b.sums.data()};
+    SurfelWorkspace& ws = *state.workspaces[static_cast<size_t>(slot)];
+    for (int t = split[static_cast<size_t>(slot)]; t < split[static_cast<size_t>(slot) + 1]; ++t) {
+      SurfelTile tile = make_tile(camera, state.bins, t);
+      tile.count = state.tile_used[static_cast<size_t>(t)];
+      if (state.tile_pairs[static_cast<size_t>(t)] == 0) continue;
+      copy_in(tile, gbuffer, d_gbuffer, distortion, ws);
+      kernels.backward(scene, tile, ws, out);
+    }
+  });
+  reduce_texels(state.buffers, slots, texture, d_texels);
+  parallel_for(records, 512, [&](size_t begin, size_t end, int) {
+    for (size_t k = begin; k < end; ++k) {
+      double sums[SurfelSums::kCount] = {};
+      for (int slot = 0; slot < slots; ++slot) {
+        const float* from =
+            state.buffers[static_cast<size_t>(slot)].sums.data() + k * SurfelSums::kCount;
+        for (int i = 0; i < SurfelSums::kCount; ++i) sums[i] += static_cast<double>(from[i]);
+      }
+      surfel_backward(camera, surfels, state.view.records[k], state.view.source[k], sums,
+                      d_surfels);
+    }
+  });
+}
+
+}  // namespace effigy
