@@ -100,10 +100,14 @@ void write_text(const Path& path, const std::string& text) {
   write_file(path, {reinterpret_cast<const uint8_t*>(text.data()), text.size()});
 }
 
-FolderWriter::FolderWriter(Path final_path) : final_(std::move(final_path)) {
+FolderWriter::FolderWriter(Path final_path, const std::string& marker)
+    : final_(std::move(final_path)) {
   if (final_.filename().empty()) final_ = final_.parent_path();
   if (fs::exists(final_) && !fs::is_directory(final_))
     fail_write(final_, "a file of that name is in the way");
+  if (fs::is_directory(final_) && !fs::is_empty(final_) &&
+      (marker.empty() || !fs::exists(final_ / marker)))
+    fail_write(final_, "a folder with other files is in the way");
   make_folder(final_.parent_path());
   temporary_ = temporary_beside(final_);
   make_folder(temporary_);

@@ -28,9 +28,11 @@ void write_through(const Path& path, const std::function<void(const Path& tempor
 
 // A folder that appears complete or not at all: fill dir(), then commit(). When the final folder
 // exists already it is replaced only by commit(); without commit() the temporary one is removed.
+// Only a folder that is empty or holds a file named `marker` (one of ours) is ever replaced; for
+// others the constructor throws Error(kResource), so that nobody's files are lost.
 class FolderWriter {
  public:
-  explicit FolderWriter(Path final_path);
+  explicit FolderWriter(Path final_path, const std::string& marker = {});
   ~FolderWriter();
   FolderWriter(const FolderWriter&) = delete;
   FolderWriter& operator=(const FolderWriter&) = delete;

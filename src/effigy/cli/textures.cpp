@@ -47,7 +47,7 @@ int run_textures(int argc, char** argv) {
     std::copy(numbers.begin(), numbers.end(), where.begin());
   }
   const int applied = apply_edits(folder, where, material);
-  FolderWriter writer(textures);
+  FolderWriter writer(textures, "albedo.png");
   write_material(writer.dir(), material);
   writer.commit();
   log_info(format("applied {} map(s) of {} to {}", applied, folder, avatar_path));

@@ -1,0 +1,107 @@
+#include "effigy/cli/evaluation.h"
+
+#include <chrono>
+#include <cmath>
+
+#include "effigy/avatar/renderer.h"
+#include "effigy/base/log.h"
+#include "effigy/image/files.h"
+
+namespace effigy {
+namespace {
+
+// At most `most` of `frames`, evenly spread; 0: all.
+std::vector<int> spread(const std::vector<int>& frames, int most) {
+  if (most <= 0 || frames.size() <= static_cast<size_t>(most)) return frames;
+  std::vector<int> picked;
+  for (int i = 0; i < most; ++i) picked.push_back(frames[frames.size() * i / most]);
+  return picked;
+}
+
+void check_rigs_agree(const HeadAvatar& avatar, const Capture& capture) {
+  if (avatar.rig.kind != capture.rig.kind ||
+      avatar.rig.expression_names != capture.rig.expression_names ||
+      avatar.rig.joint_names != capture.rig.joint_names)
+    throw Error(capture.folder.string() + ": its rig (" + capture.rig.kind +
+                ") is not the avatar's (" + avatar.rig.kind +
+                "); track the video with the avatar's rig (--rig).");
+}
+
+// Mean absolute sRGB difference between rendered and true albedo inside the matte, after the one
+// scale per image that the albedo/light ambiguity leaves free. Empty without truth.
+std::optional<double> albedo_error(const HeadAvatar& avatar, const Capture& capture,
+                                   const std::vector<int>& frames) {
+  HeadRenderer renderer(avatar);
+  double sum = 0;
+  int count = 0;
+  for (int frame : frames) {
+    if (capture.frames[frame].albedo.empty()) continue;
+    const Image truth = to_float(read_image8(capture.folder / capture.frames[frame].albedo));
+    const Image8 mask = capture.load_mask(frame);
+    renderer.set_pose(capture.poses[frame]);
+    renderer.draw(capture.camera);
+    const Image albedo = buffer_values(renderer.gbuffer(), "albedo");
+    double cross = 0, square = 0, error = 0, pixels = 0;
+    for (size_t i = 0; i < mask.data.size(); ++i)
+      for (size_t c = 0; mask.data[i] > 250 && c < 3; ++c) {
+        cross += albedo.data[3 * i + c] * linear_from_srgb(truth.data[3 * i + c]);
+        square += albedo.data[3 * i + c] * albedo.data[3 * i + c];
+      }
+    const double scale = square > 0 ? cross / square : 1.0;
+    for (size_t i = 0; i < mask.data.size(); ++i)
+      for (size_t c = 0; mask.data[i] > 250 && c < 3; ++c) {
+        const auto value = static_cast<float>(scale * albedo.data[3 * i + c]);
+        error += std::abs(srgb_from_linear(value) - truth.data[3 * i + c]);
+        pixels += 1;
+      }
+    if (pixels > 0) {
+      sum += error / pixels;
+      ++count;
+    }
+  }
+  if (count == 0) return std::nullopt;
+  return sum / count;
+}
+
+}  // namespace
+
+Evaluation evaluate_avatar(const HeadAvatar& avatar, const Capture& capture,
+                           const EvaluationOptions& options) {
+  check_rigs_agree(avatar, capture);
+  const auto begin = std::chrono::steady_clock::now();
+  Evaluation evaluation;
+  std::vector<int> held_out = capture.test_frames();
+  if (held_out.empty()) {
+    log_warning("the capture holds no frames out; scoring all of them");
+    held_out = capture.train_frames();
+  }
+  if (held_out.empty())
+    throw Error(capture.folder.string() + ": no tracked frame to score; track the video again.");
+  evaluation.frames = spread(held_out, options.most_frames);
+  evaluation.tracker = evaluate_tracker(avatar, capture, evaluation.frames);
+  if (options.refined)
+    evaluation.refined = evaluate_refined(avatar, capture, evaluation.frames, options.refine_steps);
+  for (const RelightSet& set : relight_sets(capture))
+    evaluation.relight[set.name] = score_relight(avatar, capture, set);
+  evaluation.albedo_error = albedo_error(avatar, capture, evaluation.frames);
+  evaluation.seconds =
+      std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+  return evaluation;
+}
+
+Json Evaluation::metrics() const {
+  // The top level is the protocol `tracked`, which equals `tracker` without an encoder.
+  Json json = tracker.to_json();
+  json["split"] = "test";
+  json["protocol"] = "tracked";
+  json["tracker"] = tracker.to_json();
+  if (refined) json["refined"] = refined->to_json();
+  json["relight"] = Json::object();
+  for (const auto& [name, scores] : relight) json["relight"][name] = scores.to_json();
+  json["albedo_error"] = albedo_error ? Json(*albedo_error) : Json();
+  json["lpips_note"] = "left out: no backbone weights";
+  json["seconds"] = seconds;
+  return json;
+}
+
+}  // namespace effigy

@@ -1,0 +1,41 @@
+// effigy eval's work, shared with the demo: metrics.json and report.html of an avatar on a capture.
+#pragma once
+
+#include <map>
+#include <optional>
+#include <string>
+
+#include "effigy/avatar/head_avatar.h"
+#include "effigy/capture/capture.h"
+#include "effigy/head/evaluate.h"
+#include "effigy/head/relight.h"
+
+namespace effigy {
+
+struct EvaluationOptions {
+  bool refined = true;  // also the protocol `refined`
+  int refine_steps = 20;
+  int most_frames = 0;                                                 // 0: all held-out frames
+  std::vector<std::string> lights = {"studio", "overcast", "sunset"};  // relit in the report
+};
+
+struct Evaluation {
+  std::vector<int> frames;
+  ProtocolScores tracker;
+  std::optional<ProtocolScores> refined;
+  std::map<std::string, RelightScores> relight;  // synthetic captures only
+  std::optional<double> albedo_error;            // mean absolute, sRGB, best scale; where known
+  double seconds = 0;
+  Json metrics() const;  // metrics.json
+};
+
+// Scores `avatar` on the held-out frames of `capture` (all frames when none are held out).
+Evaluation evaluate_avatar(const HeadAvatar& avatar, const Capture& capture,
+                           const EvaluationOptions& options);
+
+// Writes OUT/report.html and OUT/metrics.json, each complete or not at all.
+void write_evaluation(const Evaluation& evaluation, const HeadAvatar& avatar,
+                      const Capture& capture, const Path& avatar_folder,
+                      const EvaluationOptions& options, const Path& out);
+
+}  // namespace effigy

@@ -1,0 +1,298 @@
+// report.html of an evaluation.
+
+#include <algorithm>
+#include <cmath>
+
+#include "effigy/avatar/renderer.h"
+#include "effigy/avatar/textures.h"
+#include "effigy/base/log.h"
+#include "effigy/cli/evaluation.h"
+#include "effigy/cli/render_settings.h"
+#include "effigy/image/files.h"
+#include "effigy/report/overlay.h"
+#include "effigy/report/report.h"
+
+namespace effigy {
+namespace {
+
+constexpr int kFramesShown = 5, kRelitShown = 3;
+
+std::vector<size_t> spread_indices(size_t count, size_t most) {
+  std::vector<size_t> picked;
+  const size_t n = std::min(count, most);
+  for (size_t i = 0; i < n; ++i) picked.push_back(i * count / n + count / (2 * n));
+  return picked;
+}
+
+Image8 as_8bit(const Planes& planes) {
+  return to_8bit(to_image(planes));
+}
+
+Image8 masked_input(const Capture& capture, int frame) {
+  TargetFrame target;
+  FrameStore(capture, 0).load(frame, target);
+  return as_8bit(target.image);
+}
+
+// Squares of alternating colour over the whole atlas, one per `cell` texels.
+MaterialTexture checkered(MaterialTexture texture, int cells) {
+  for (int y = 0; y < texture.height; ++y)
+    for (int x = 0; x < texture.width; ++x) {
+      const bool odd = ((x * cells / texture.width) + (y * cells / texture.height)) % 2 != 0;
+      float* t = &texture.texels[(static_cast<size_t>(y) * texture.width + x) * 8];
+      for (int c = 0; c < 3; ++c) t[c] = odd ? 0.75f : (c == 2 ? 0.35f : 0.05f);
+    }
+  return texture;
+}
+
+class EvaluationReport {
+ public:
+  EvaluationReport(const Evaluation& evaluation, const HeadAvatar& avatar, const Capture& capture,
+                   const EvaluationOptions& options, const Path& avatar_folder)
+      : e_(evaluation),
+        avatar_(avatar),
+        capture_(capture),
+        options_(options),
+        folder_(avatar_folder),
+        renderer_(avatar),
+        report_("Avatar report", avatar_folder.filename().string() + ", " +
+                                     std::to_string(evaluation.frames.size()) +
+                                     " held-out frames") {}
+
+  void write(const Path& path) {
+    scores();
+    reconstruction();
+    relighting();
+    editing();
+    views();
+    curves();
+    settings();
+    report_.write(path);
+  }
+
+ private:
+  void scores() {
+    const FrameScore m = e_.tracker.mean();
+    report_.add_metric_tiles(
+        {{"PSNR", format("{:.2f}", m.psnr), "dB", "whole frame, higher is better"},
+         {"SSIM", format("{:.4f}", m.ssim), "", "higher is better"},
+         {"FLIP", format("{:.4f}", m.flip), "", "lower is better"},
+         {"Coverage", format("{:.4f}", m.coverage), "", "alpha inside the matte"}});
+    report_.add_heading("Scores");
+    std::vector<std::vector<std::string>> rows = {row("tracker", m)};
+    if (e_.refined) rows.push_back(row("refined", e_.refined->mean()));
+    report_.add_table({"protocol", "PSNR dB", "PSNR head dB", "SSIM", "FLIP", "coverage"}, rows,
+                      "tracker: parameters from tracking alone, nothing fitted to the test image. "
+                      "refined: pose and expression fitted to the test image, the avatar frozen.");
+    report_.add_paragraph(
+        "Frames are 8-bit on black, scored over the whole frame. LPIPS is left out: its backbone's "
+        "weights cannot be shipped.");
+    LinePlot plot{"PSNR by frame", "frame", "dB", {}, false, false};
+    plot.series.push_back(series("tracker", e_.tracker));
+    if (e_.refined) plot.series.push_back(series("refined", *e_.refined));
+    report_.add_line_plot(plot);
+  }
+
+  static std::vector<std::string> row(const std::string& name, const FrameScore& s) {
+    return {name,
+            format("{:.2f}", s.psnr),
+            format("{:.2f}", s.psnr_foreground),
+            format("{:.4f}", s.ssim),
+            format("{:.4f}", s.flip),
+            format("{:.4f}", s.coverage)};
+  }
+
+  Series series(const std::string& name, const ProtocolScores& scores) const {
+    Series s{name, {}, {}};
+    for (const FrameScore& f : scores.frames) {
+      s.xs.push_back(static_cast<double>(capture_.frames[f.frame].number));
+      s.ys.push_back(f.psnr);
+    }
+    return s;
+  }
+
+  void reconstruction() {
+    report_.add_heading("Reconstruction");
+    std::vector<ImageRow> rows;
+    for (size_t i : spread_indices(e_.frames.size(), kFramesShown)) {
+      const int frame = e_.frames[i];
+      renderer_.set_pose(e_.tracker.poses[i]);
+      const Image8 input = masked_input(capture_, frame);
+      const Image8 render = as_8bit(renderer_.draw(capture_.camera));
+      ImageRow shown{
+          format("frame {}, {:.1f} dB", capture_.frames[frame].number, e_.tracker.frames[i].psnr),
+          {input, render, colour_difference(input, render)}};
+      for (const char* buffer : {"albedo", "mapped_normal", "roughness", "uv"})
+        shown.images.push_back(view_buffer(renderer_.gbuffer(), buffer));
+      rows.push_back(std::move(shown));
+    }
+    report_.add_image_grid(
+        {"input", "avatar", "difference (x5)", "albedo", "normals", "roughness", "UV"}, rows);
+  }
+
+  void relighting() {
+    report_.add_heading("Relighting");
+    if (!e_.relight.empty()) {
+      std::vector<std::vector<std::string>> rows;
+      for (const auto& [name, s] : e_.relight)
+        rows.push_back({name, format("{:.2f}", s.psnr), format("{:.4f}", s.ssim),
+                        format("{:.2f}", s.psnr_aligned), format("{:.3f}", s.scale),
+                        format("{:.2f}", s.psnr_unlit)});
+      report_.add_table(
+          {"light", "PSNR dB", "SSIM", "PSNR aligned dB", "scale", "PSNR left unlit dB"}, rows,
+          "Against the synthetic truth. Aligned: after the one global scale that the "
+          "albedo/light ambiguity leaves free. Left unlit: the same frames in the training "
+          "light, aligned: what doing nothing scores.");
+      truth_grid();
+    }
+    if (e_.albedo_error)
+      report_.add_paragraph(format(
+          "Albedo error (mean absolute, sRGB, one scale per image): {:.4f}.", *e_.albedo_error));
+    std::vector<std::string> columns;
+    std::vector<ImageRow> rows(std::min<size_t>(kRelitShown, e_.frames.size()));
+    const auto picked = spread_indices(e_.frames.size(), kRelitShown);
+    for (const std::string& name : options_.lights) {
+      columns.push_back(Path(name).stem().string());
+      renderer_.set_light(load_light(name, 0, "auto", avatar_.environment));
+      for (size_t k = 0; k < picked.size(); ++k) {
+        renderer_.set_pose(e_.tracker.poses[picked[k]]);
+        rows[k].caption = format("frame {}", capture_.frames[e_.frames[picked[k]]].number);
+        rows[k].images.push_back(as_8bit(renderer_.draw(capture_.camera)));
+      }
+    }
+    report_.add_image_grid(columns, rows);
+    renderer_.set_light(own_light());
+  }
+
+  void truth_grid() {
+    std::vector<ImageRow> rows;
+    for (const RelightSet& set : relight_sets(capture_)) {
+      if (set.images.empty()) continue;
+      const auto& [frame, path] =
+          *std::next(set.images.begin(), static_cast<std::ptrdiff_t>(set.images.size() / 2));
+      renderer_.set_light(prefilter_environment(read_environment(capture_.folder / set.light), 0,
+                                                e_.relight.at(set.name).scale));
+      renderer_.set_pose(capture_.poses[frame]);
+      const Image8 truth = read_image8(capture_.folder / path);
+      const Image8 render = as_8bit(renderer_.draw(capture_.camera));
+      rows.push_back({set.name, {truth, render, colour_difference(truth, render)}});
+    }
+    report_.add_image_grid({"truth", "avatar, relit", "difference (x5)"}, rows);
+    renderer_.set_light(own_light());
+  }
+
+  void editing() {
+    report_.add_heading("Repainted");
+    report_.add_paragraph(
+        "A checker over the whole albedo atlas: straight, sharp squares that follow the face mean "
+        "that "
+        "textures can be painted on.");
+    HeadAvatar edited = avatar_;
+    edited.material = checkered(avatar_.material, 32);
+    HeadRenderer renderer(edited);
+    ImageRow row{"checker", {}};
+    for (size_t i : spread_indices(e_.frames.size(), 4)) {
+      renderer.set_pose(e_.tracker.poses[i]);
+      row.images.push_back(as_8bit(renderer.draw(capture_.camera)));
+    }
+    report_.add_image_grid({}, {row});
+    const MaterialImages maps = to_images(avatar_.material);
+    report_.add_image_grid({"albedo", "roughness", "specular F0", "normal"},
+                           {{"textures",
+                             {to_8bit(maps.albedo), to_8bit(maps.roughness), to_8bit(maps.specular),
+                              to_8bit(maps.normal)}}});
+  }
+
+  void views() {
+    report_.add_heading("New views");
+    renderer_.set_pose(e_.tracker.poses[e_.frames.size() / 2]);
+    const Vec3d center = head_center(renderer_.vertices());
+    ImageRow row{"orbit", {}};
+    std::vector<std::string> columns;
+    for (int degrees : {-60, -30, 0, 30, 60}) {
+      columns.push_back(format("{}°", degrees));
+      row.images.push_back(
+          as_8bit(renderer_.draw(orbit_camera(capture_.camera, center, degrees * 0.0174533, 0))));
+    }
+    report_.add_image_grid(columns, {row});
+    report_.add_subheading("Learned light");
+    Image light = equirectangular_from_cubemap(avatar_.environment, 256, 128);
+    for (float& v : light.data) v = srgb_from_linear(v / (1 + v));
+    report_.add_image(to_8bit(light), "environment.exr, Reinhard-compressed", {.width = 384});
+  }
+
+  void curves() {
+    const Path file = folder_ / "training.json";
+    if (!std::filesystem::exists(file)) return;
+    const Json training = read_json(file);
+    report_.add_heading("Training");
+    LinePlot losses{"Losses", "iteration", "unweighted value", {}, true, false};
+    for (const char* name : {"l1", "dssim", "mask", "normal_consistency", "uv_distortion"}) {
+      Series s{name, {}, {}};
+      for (const Json& entry : training.value("losses", Json::array()))
+        if (entry.contains(name)) {
+          s.xs.push_back(entry.value("iteration", 0.0));
+          s.ys.push_back(entry.value(name, 0.0));
+        }
+      if (!s.xs.empty()) losses.series.push_back(std::move(s));
+    }
+    report_.add_line_plot(losses);
+    LinePlot heldout{"Held-out PSNR (sample of frames)", "iteration", "dB", {}, false, false};
+    Series s{"tracker", {}, {}};
+    for (const Json& entry : training.value("heldout", Json::array())) {
+      s.xs.push_back(entry.value("iteration", 0.0));
+      s.ys.push_back(entry.value("psnr", 0.0));
+    }
+    if (s.xs.size() > 1) {
+      heldout.series.push_back(std::move(s));
+      report_.add_line_plot(heldout);
+    }
+    report_.add_key_values(
+        {{"iterations", std::to_string(training.value("iterations", 0))},
+         {"time", format("{:.0f} s", training.value("seconds", 0.0))},
+         {"rate", format("{:.2f} iterations/s", training.value("iterations_per_second", 0.0))},
+         {"peak memory",
+          format("{:.0f} MiB", training.value("peak_memory_bytes", 0.0) / (1 << 20))},
+         {"threads", std::to_string(training.value("threads", 0))},
+         {"evaluation", format("{:.0f} s", e_.seconds)}});
+  }
+
+  void settings() {
+    report_.add_heading("Settings and provenance");
+    const Json provenance = avatar_.info.value("provenance", Json::object());
+    std::vector<std::pair<std::string, std::string>> items;
+    for (const char* name : {"source", "licence", "consent", "rig", "rig_licence", "made_by"})
+      items.emplace_back(name, provenance.value(name, std::string("not stated")));
+    items.emplace_back("surfels", std::to_string(avatar_.surfels.count()));
+    items.emplace_back("texture",
+                       format("{} x {}", avatar_.material.width, avatar_.material.height));
+    report_.add_key_values(items);
+    report_.add_code(avatar_.info.value("settings", Json::object()).dump(1));
+    report_.add_note(
+        "All renders on this page are synthetic images of a person. Make and show avatars of real "
+        "people only with their consent.");
+  }
+
+  PrefilteredEnvironment own_light() const {
+    return Prefilter(avatar_.environment.size).forward(avatar_.environment);
+  }
+
+  const Evaluation& e_;
+  const HeadAvatar& avatar_;
+  const Capture& capture_;
+  const EvaluationOptions& options_;
+  Path folder_;
+  HeadRenderer renderer_;
+  Report report_;
+};
+
+}  // namespace
+
+void write_evaluation(const Evaluation& evaluation, const HeadAvatar& avatar,
+                      const Capture& capture, const Path& avatar_folder,
+                      const EvaluationOptions& options, const Path& out) {
+  EvaluationReport(evaluation, avatar, capture, options, avatar_folder).write(out / "report.html");
+  write_json(out / "metrics.json", evaluation.metrics());
+}
+
+}  // namespace effigy
