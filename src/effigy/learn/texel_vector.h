@@ -2,8 +2,10 @@
 // fallback target whose vectors (one lane) cannot hold a texel.
 #pragma once
 
+#include <bit>
 #include <cmath>
 #include <cstddef>
+#include <cstdint>
 
 namespace effigy::texel_vector {
 
@@ -73,6 +75,28 @@ inline Texel Div(const Texel& a, const Texel& b) {
 }
 inline Texel MulAdd(const Texel& a, const Texel& b, const Texel& c) {
   return map([&](int i) { return a.lane[i] * b.lane[i] + c.lane[i]; });
+}
+inline Texel NegMulAdd(const Texel& a, const Texel& b, const Texel& c) {
+  return map([&](int i) { return c.lane[i] - a.lane[i] * b.lane[i]; });
+}
+inline Texel ApproximateReciprocalSqrt(const Texel& a) {
+  return map([&](int i) { return 1.0f / std::sqrt(a.lane[i]); });
+}
+inline Texel Min(const Texel& a, const Texel& b) {
+  return map([&](int i) { return a.lane[i] < b.lane[i] ? a.lane[i] : b.lane[i]; });
+}
+inline Texel Max(const Texel& a, const Texel& b) {
+  return map([&](int i) { return a.lane[i] > b.lane[i] ? a.lane[i] : b.lane[i]; });
+}
+// Of the bits.
+inline Texel Or(const Texel& a, const Texel& b) {
+  return map([&](int i) {
+    return std::bit_cast<float>(std::bit_cast<uint32_t>(a.lane[i]) |
+                                std::bit_cast<uint32_t>(b.lane[i]));
+  });
+}
+inline Mask Or(const Mask& a, const Mask& b) {
+  return test([&](int i) { return a.lane[i] || b.lane[i]; });
 }
 inline Texel Neg(const Texel& a) {
   return map([&](int i) { return -a.lane[i]; });

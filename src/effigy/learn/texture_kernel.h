@@ -6,6 +6,14 @@
 
 namespace effigy::texture_kernel {
 
+// Rows are walked in runs of this many texels (the last of a row may be shorter).
+inline constexpr size_t kRun = 32;
+enum RunKind : uint8_t {
+  kMixed,
+  kInterior,  // full run, all texels inside with all four neighbours inside
+  kOutside,   // all texels outside
+};
+
 // Per lane of a texel; everything the kernel needs to know about channels.
 struct alignas(64) Lanes {
   // t = low + range sigmoid(slope raw); dt/draw = slope (t - low)(range - (t - low)) / range.
@@ -27,6 +35,7 @@ struct Sums {  // of one row, per lane, unweighted
 struct Row {
   size_t width;
   const uint8_t* flags;        // UvMask::flags
+  const uint8_t* kinds;        // RunKind of each run
   const float* texels;         // old values of this row
   const float* below;          // old values of row y - 1 (any valid row where there is none)
   const float* above;          // old values of row y + 1
@@ -34,18 +43,21 @@ struct Row {
   const float* raw;
   const float* d_texels;
   float* out;  // new texels, or (gradient) d_raw
-  // Of the step only: raw and d_texels again, and the moments.
-  float* new_raw;
-  float* new_d_texels;
+  // Of the step only. `old` receives a copy of `out` before it is overwritten, and is `texels`; it
+  // is not copied (nor read) for runs that rest.
+  float* old;
+  float* new_raw;       // raw
+  float* new_d_texels;  // d_texels
   float* m;
   float* v;
+  uint8_t* resting;  // of each run: not 0 when a step without d_texels would change nothing
   Sums* sums;
 };
 
 struct Settings {
   Lanes lanes;
   float normal_limit, boundary_tolerance;
-  bool tv, tv_squared, prior;
+  bool tv, tv_squared, prior;  // prior: any of the three priors
   float beta1, beta2, epsilon, inverse_root;
 };
 

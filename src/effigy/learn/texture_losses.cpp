@@ -62,7 +62,19 @@ void add_losses(const TextureLossSettings& settings, const UvMask& mask, KernelS
   kernel.boundary_tolerance = settings.boundary_tolerance;
   kernel.tv = settings.roughness_tv != 0 || settings.specular_tv != 0 || settings.albedo_tv != 0;
   kernel.tv_squared = settings.tv_squared;
-  kernel.prior = settings.roughness_prior != 0 || settings.specular_prior != 0;
+  kernel.prior = settings.roughness_prior != 0 || settings.specular_prior != 0 ||
+                 settings.albedo_target != nullptr;
+}
+
+void wake_up_when_changed(const TextureLossSettings& settings, size_t runs,
+                          TextureParameters& parameters) {
+  const TexelValue& outside = settings.outside;
+  const std::array<float, 7> under{outside.albedo[0],          outside.albedo[1], outside.albedo[2],
+                                   outside.roughness,          outside.specular,  settings.boundary,
+                                   settings.boundary_tolerance};
+  if (parameters.resting.size() == runs && parameters.resting_under == under) return;
+  parameters.resting.assign(runs, 0);
+  parameters.resting_under = under;
 }
 
 // Row sums in order of rows, so that they do not depend on the thread count.
@@ -159,6 +171,19 @@ UvMask::UvMask(std::span<const uint8_t> inside, int width, int height, bool top_
       flags_[i] = static_cast<uint8_t>(1 | (at(x + 1, y) ? 2 : 0) | (at(x - 1, y) ? 4 : 0) |
                                        (at(x, y + 1) ? 8 : 0) | (at(x, y - 1) ? 16 : 0));
     }
+  constexpr int kRun = static_cast<int>(texture_kernel::kRun);
+  for (int y = 0; y < height; ++y)
+    for (int x = 0; x < width; x += kRun) {
+      const uint8_t* const flags =
+          flags_.data() + static_cast<size_t>(y) * static_cast<size_t>(width) + x;
+      const int count = std::min(kRun, width - x);
+      const bool interior =
+          count == kRun && std::all_of(flags, flags + count, [](uint8_t f) { return f == 31; });
+      const bool outside = std::all_of(flags, flags + count, [](uint8_t f) { return f == 0; });
+      runs_.push_back(interior  ? texture_kernel::kInterior
+                      : outside ? texture_kernel::kOutside
+                                : texture_kernel::kMixed);
+    }
 }
 
 double TextureLosses::total(const TextureLossSettings& s) const {
@@ -249,7 +274,8 @@ TextureStep texture_step(TextureParameters& parameters, const TextureActivation&
 
   const size_t width = static_cast<size_t>(parameters.width);
   const size_t height = static_cast<size_t>(parameters.height);
-  const size_t pitch = width * kTexelFloats;
+  const size_t pitch = width * kTexelFloats, runs = mask.runs().size() / height;
+  wake_up_when_changed(settings, mask.runs().size(), parameters);
   const size_t slots = std::min<size_t>(static_cast<size_t>(thread_count()), height);
   const auto first_row = [&](size_t slot) { return height * slot / slots; };
   // The texture is overwritten in place while neighbours' old values are still needed: a slot keeps
@@ -271,11 +297,12 @@ TextureStep texture_step(TextureParameters& parameters, const TextureActivation&
     for (size_t y = begin; y < end; ++y) {
       float* const texels = texture.texels.data() + y * pitch;
       float* const old = line + (y % 2) * pitch;
-      std::copy_n(texels, pitch, old);
       Row row;
       row.width = width;
       row.flags = mask.flags().data() + y * width;
+      row.kinds = mask.runs().data() + y * runs;
       row.texels = old;
+      row.old = old;
       row.below = y == begin ? border : line + ((y + 1) % 2) * pitch;
       row.above = y + 1 == end ? border + pitch : texels + pitch;
       row.albedo_target = settings.albedo_target == nullptr
@@ -288,6 +315,7 @@ TextureStep texture_step(TextureParameters& parameters, const TextureActivation&
       row.new_d_texels = d_texels.data() + y * pitch;
       row.d_texels = row.new_d_texels;
       row.out = texels;
+      row.resting = parameters.resting.data() + y * runs;
       row.sums = &sums[y];
       texture_kernel::step_row(kernel, row);
     }
@@ -306,13 +334,14 @@ TextureStep texture_gradient(const TextureParameters& parameters,
   add_losses(settings, mask, kernel);
   const size_t width = static_cast<size_t>(parameters.width);
   const size_t height = static_cast<size_t>(parameters.height);
-  const size_t pitch = width * kTexelFloats;
+  const size_t pitch = width * kTexelFloats, runs = mask.runs().size() / height;
   std::vector<Sums> sums(height);
   parallel_for(height, 8, [&](size_t begin, size_t end, int) {
     for (size_t y = begin; y < end; ++y) {
       Row row{};
       row.width = width;
       row.flags = mask.flags().data() + y * width;
+      row.kinds = mask.runs().data() + y * runs;
       row.texels = texture.texels.data() + y * pitch;
       row.below = row.texels - (y == 0 ? 0 : pitch);
       row.above = row.texels + (y + 1 == height ? 0 : pitch);

@@ -46,11 +46,13 @@ class UvMask {
   // Bits of a texel: 1 inside; 2, 4, 8, 16: its neighbour at x + 1, x - 1, y + 1, y - 1 is inside
   // too (never set for texels outside).
   const std::vector<uint8_t>& flags() const { return flags_; }
+  // Kinds of the runs of texels that the kernels walk in (texture_kernel.h).
+  const std::vector<uint8_t>& runs() const { return runs_; }
 
  private:
   int width_, height_;
   size_t inside_ = 0;
-  std::vector<uint8_t> flags_;
+  std::vector<uint8_t> flags_, runs_;
 };
 
 // What the optimiser moves, with its moments.
@@ -58,6 +60,11 @@ struct TextureParameters {
   int width = 0, height = 0;
   std::vector<float> raw;  // height * width * 8
   AdamState adam;
+  // Kept by texture_step: runs of texels outside the islands that have nothing to do until an image
+  // gradient reaches them (skipping them changes no bit), and the boundary loss they rest under.
+  // Clear `resting` after changing raw or adam.
+  std::vector<uint8_t> resting;
+  std::array<float, 7> resting_under{};
 };
 // All texels inside at `inside`, all outside at `outside` (the boundary loss's target).
 TextureParameters make_texture_parameters(const UvMask& mask, const TextureActivation& activation,
@@ -93,7 +100,7 @@ struct TextureLossSettings {
   const MaterialTexture* albedo_target = nullptr;
 };
 
-// Unweighted values.
+// Unweighted values; a loss whose weight is 0 may be left at 0.
 struct TextureLosses {
   double roughness_tv = 0, specular_tv = 0, albedo_tv = 0, normal = 0, boundary = 0;
   double roughness_prior = 0, specular_prior = 0, albedo_prior = 0;
