@@ -6,8 +6,74 @@
 #include "effigy/base/error.h"
 #include "effigy/base/threads.h"
 
+#undef HWY_TARGET_INCLUDE
+#define HWY_TARGET_INCLUDE "effigy/learn/mesh_losses.cpp"
+#include <hwy/foreach_target.h>
+#include <hwy/highway.h>
+
+// Distances run over whole blendshape bases (millions of entries) every iteration.
+HWY_BEFORE_NAMESPACE();
+namespace effigy::HWY_NAMESPACE {
+namespace hn = hwy::HWY_NAMESPACE;
+
+// Sum of squared differences; adds scale * 2 (value - reference) to d_value unless null.
+double squared_block(const float* value, const float* reference, float* d_value, size_t count,
+                     float scale) {
+  const hn::ScalableTag<float> d;
+  const auto twice = hn::Set(d, 2.0f * scale);
+  auto sum = hn::Zero(d);
+  size_t i = 0;
+  for (; i + hn::Lanes(d) <= count; i += hn::Lanes(d)) {
+    const auto difference = hn::Sub(hn::LoadU(d, value + i), hn::LoadU(d, reference + i));
+    sum = hn::MulAdd(difference, difference, sum);
+    if (d_value != nullptr)
+      hn::StoreU(hn::MulAdd(twice, difference, hn::LoadU(d, d_value + i)), d, d_value + i);
+  }
+  double total = static_cast<double>(hn::GetLane(hn::SumOfLanes(d, sum)));
+  for (; i < count; ++i) {
+    const float difference = value[i] - reference[i];
+    total += static_cast<double>(difference) * difference;
+    if (d_value != nullptr) d_value[i] += 2.0f * scale * difference;
+  }
+  return total;
+}
+
+// Sum of lengths of the differences of rows of three; adds scale times the unit difference.
+// Returns how many rows it did; the caller does the rest.
+size_t norm_block(const float* value, const float* reference, float* d_value, size_t rows,
+                  float scale, double* total) {
+  const hn::ScalableTag<float> d;
+  auto sum = hn::Zero(d);
+  size_t row = 0;
+  for (; row + hn::Lanes(d) <= rows; row += hn::Lanes(d)) {
+    auto x = hn::Zero(d), y = x, z = x, rx = x, ry = x, rz = x;
+    hn::LoadInterleaved3(d, value + 3 * row, x, y, z);
+    hn::LoadInterleaved3(d, reference + 3 * row, rx, ry, rz);
+    x = hn::Sub(x, rx), y = hn::Sub(y, ry), z = hn::Sub(z, rz);
+    const auto squares = hn::MulAdd(x, x, hn::MulAdd(y, y, hn::Mul(z, z)));
+    const auto norm = hn::Sqrt(squares);
+    sum = hn::Add(sum, norm);
+    if (d_value == nullptr) continue;
+    const auto factor =
+        hn::IfThenElseZero(hn::Gt(norm, hn::Zero(d)), hn::Div(hn::Set(d, scale), norm));
+    auto gx = rx, gy = ry, gz = rz;
+    hn::LoadInterleaved3(d, d_value + 3 * row, gx, gy, gz);
+    hn::StoreInterleaved3(hn::MulAdd(factor, x, gx), hn::MulAdd(factor, y, gy),
+                          hn::MulAdd(factor, z, gz), d, d_value + 3 * row);
+  }
+  *total = static_cast<double>(hn::GetLane(hn::SumOfLanes(d, sum)));
+  return row;
+}
+
+}  // namespace effigy::HWY_NAMESPACE
+HWY_AFTER_NAMESPACE();
+
+#if HWY_ONCE
 namespace effigy {
 namespace {
+
+HWY_EXPORT(squared_block);
+HWY_EXPORT(norm_block);
 
 // Rows summed together, so that sums do not depend on the thread count.
 constexpr size_t kBlock = 4096;
@@ -80,12 +146,28 @@ double distance_loss(std::span<const float> value, std::span<const float> refere
   EFFIGY_CHECK(d_value.empty() || d_value.size() == value.size());
   EFFIGY_CHECK(width > 0 && value.size() % width == 0);
   if (value.empty()) return 0.0;
+  float* const gradient = d_value.empty() ? nullptr : d_value.data();
+  if (distance == Distance::kMeanSquared) {
+    const double count = static_cast<double>(value.size());
+    const float scale = static_cast<float>(weight / count);
+    const double sum = sum_blocks(value.size(), [&](size_t begin, size_t end) {
+      return HWY_DYNAMIC_DISPATCH(squared_block)(value.data() + begin, reference.data() + begin,
+                                                 gradient == nullptr ? nullptr : gradient + begin,
+                                                 end - begin, scale);
+    });
+    return sum / count;
+  }
   const size_t rows = value.size() / width;
-  const bool squared = distance == Distance::kMeanSquared;
-  const double count = static_cast<double>(squared ? value.size() : rows);
+  const double scale = weight / static_cast<double>(rows);
   const double sum = sum_blocks(rows, [&](size_t begin, size_t end) {
     double part = 0;
-    for (size_t row = begin; row < end; ++row) {
+    size_t row = begin;
+    if (width == 3)
+      row +=
+          HWY_DYNAMIC_DISPATCH(norm_block)(value.data() + 3 * begin, reference.data() + 3 * begin,
+                                           gradient == nullptr ? nullptr : gradient + 3 * begin,
+                                           end - begin, static_cast<float>(scale), &part);
+    for (; row < end; ++row) {
       const size_t at = row * width;
       double squares = 0;
       for (size_t k = 0; k < width; ++k) {
@@ -93,16 +175,16 @@ double distance_loss(std::span<const float> value, std::span<const float> refere
         squares += difference * difference;
       }
       const double norm = std::sqrt(squares);
-      part += squared ? squares : norm;
-      if (d_value.empty() || squares == 0.0) continue;
-      const double scale = weight / count * (squared ? 2.0 : 1.0 / norm);
+      part += norm;
+      if (gradient == nullptr || norm == 0.0) continue;
       for (size_t k = 0; k < width; ++k)
-        d_value[at + k] +=
-            static_cast<float>(scale * (static_cast<double>(value[at + k]) - reference[at + k]));
+        gradient[at + k] += static_cast<float>(
+            scale / norm * (static_cast<double>(value[at + k]) - reference[at + k]));
     }
     return part;
   });
-  return sum / count;
+  return sum / static_cast<double>(rows);
 }
 
 }  // namespace effigy
+#endif  // HWY_ONCE
