@@ -87,7 +87,7 @@ void HeadTrainer::State::image_losses(LossValues& losses) {
     losses["normal_consistency"] = normal_consistency_loss(
         gbuffer, capture.camera, {}, static_cast<float>(w.normal_consistency), &d_gbuffer, scratch);
   if (w.albedo_prior > 0 && target.albedo.count == 3)
-    losses["albedo_prior"] = albedo_prior_loss(gbuffer, target.albedo, target.mask.data,
+    losses["albedo_prior"] = albedo_prior_loss(gbuffer, target.albedo, target.mask.data, {},
                                                static_cast<float>(w.albedo_prior), &d_gbuffer);
   if (raster_options().uv_distortion != UvDistortion::kOff) {
     const float* plane = gbuffer.plane(kUvDistortion);
@@ -167,8 +167,9 @@ void HeadTrainer::State::update_rig(int frame, const RigPose& tracked, LossValue
   if (!settings.refine_rig && !refine_pose) return;
   if (settings.refine_rig && w.laplacian > 0) {
     pose_vertices(model.original, tracked, original_vertices);
-    losses["laplacian"] = relative_laplacian_loss(
-        laplacian, vertices, original_vertices, static_cast<float>(w.laplacian), d_bound.vertices);
+    losses["laplacian"] =
+        laplacian_loss(laplacian, vertices, original_vertices, static_cast<float>(w.laplacian),
+                       d_bound.vertices, scratch);
   }
   RigGradient g;
   RigShape& shape = model.shape;
