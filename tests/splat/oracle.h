@@ -69,43 +69,60 @@ struct Contribution {
   double weight, u, v;
 };
 
-// The surfel that a pixel's ray meets, in camera space.
+// A surfel in camera space.
+struct Placed {
+  Vec3d p, s, t, n;
+  double ss, st, tt;
+  double x = 0, y = 0;  // projected centre, when in front
+};
+
+inline Placed place(const Scene& scene, size_t i) {
+  const Camera& camera = scene.camera;
+  const auto vec = [&](const std::vector<double>& v) { return Vec3d(v.data() + 3 * i); };
+  Placed placed;
+  placed.p = camera.to_camera(vec(scene.surfels.center));
+  placed.s = camera.camera_from_world_rotation * vec(scene.surfels.s);
+  placed.t = camera.camera_from_world_rotation * vec(scene.surfels.t);
+  placed.n = placed.s.cross(placed.t);
+  placed.ss = placed.s.dot(placed.s);
+  placed.st = placed.s.dot(placed.t);
+  placed.tt = placed.t.dot(placed.t);
+  placed.x = camera.fx * placed.p.x() / placed.p.z() + camera.cx;
+  placed.y = camera.fy * placed.p.y() / placed.p.z() + camera.cy;
+  return placed;
+}
+
+// Where a pixel's ray meets a surfel.
 struct Meeting {
   bool seen = false, filtered = false;
   double u = 0, v = 0, z = 0, rho = 0;
 };
 
-inline Meeting meet(const Scene& scene, size_t i, double px, double py) {
+inline Meeting meet(const Scene& scene, const Placed& placed, double px, double py) {
   const Camera& camera = scene.camera;
-  const auto vec = [&](const std::vector<double>& x) { return Vec3d(x.data() + 3 * i); };
-  const Vec3d p = camera.to_camera(vec(scene.surfels.center));
-  const Vec3d s = camera.camera_from_world_rotation * vec(scene.surfels.s);
-  const Vec3d t = camera.camera_from_world_rotation * vec(scene.surfels.t);
   const Vec3d ray((px - camera.cx) / camera.fx, (py - camera.cy) / camera.fy, 1.0);
   Meeting m;
-  const Vec3d n = s.cross(t);
-  const double facing = n.dot(ray);
+  const double facing = placed.n.dot(ray);
   const double near = scene.options.near;
   bool plane = facing != 0.0;
   if (plane) {
-    m.z = n.dot(p) / facing;
-    const Vec3d local = m.z * ray - p;  // = u s + v t
+    m.z = placed.n.dot(placed.p) / facing;
+    const Vec3d local = m.z * ray - placed.p;  // = u s + v t
     // Cramer in the plane's own metric; the axes need not be orthogonal.
-    const double ss = s.dot(s), st = s.dot(t), tt = t.dot(t);
-    const double det = ss * tt - st * st;
-    m.u = (tt * local.dot(s) - st * local.dot(t)) / det;
-    m.v = (ss * local.dot(t) - st * local.dot(s)) / det;
+    const double det = placed.ss * placed.tt - placed.st * placed.st;
+    const double ls = local.dot(placed.s), lt = local.dot(placed.t);
+    m.u = (placed.tt * ls - placed.st * lt) / det;
+    m.v = (placed.ss * lt - placed.st * ls) / det;
     m.rho = m.u * m.u + m.v * m.v;
     plane = m.z > near && std::isfinite(m.rho);
   }
-  if (scene.options.low_pass && p.z() > near) {
-    const double x = camera.fx * p.x() / p.z() + camera.cx;
-    const double y = camera.fy * p.y() / p.z() + camera.cy;
-    const double rho = 2.0 * ((px - x) * (px - x) + (py - y) * (py - y));
+  if (scene.options.low_pass && placed.p.z() > near) {
+    const double dx = px - placed.x, dy = py - placed.y;
+    const double rho = 2.0 * (dx * dx + dy * dy);
     if (!plane || rho < m.rho) {
       m.filtered = true;
       m.u = m.v = 0;
-      m.z = p.z();
+      m.z = placed.p.z();
       m.rho = rho;
       plane = true;
     }
@@ -144,6 +161,8 @@ inline Image render(const Scene& scene) {
   std::stable_sort(order.begin(), order.end(), [&](size_t a, size_t b) { return z[a] < z[b]; });
   for (const size_t i : order) image.decide(i);
 
+  std::vector<Placed> placed;
+  for (size_t i = 0; i < n; ++i) placed.push_back(place(scene, i));
   std::vector<Contribution> list;
   for (int y = 0; y < camera.height; ++y) {
     for (int x = 0; x < camera.width; ++x) {
@@ -156,8 +175,9 @@ inline Image render(const Scene& scene) {
       bool open = true;  // distortion list
       list.clear();
       for (const size_t i : order) {
-        const Meeting m = meet(scene, i, x + 0.5, y + 0.5);
-        if (!m.seen) continue;
+        const Meeting m = meet(scene, placed[i], x + 0.5, y + 0.5);
+        // exp(-6) < 1/255: out of reach whatever the opacity.
+        if (!m.seen || m.rho > 12.0) continue;
         const double gaussian = surfels.opacity[i] * std::exp(-0.5 * m.rho);
         const double a = std::min(0.99, gaussian);
         if (a < 1.0 / 255.0) continue;

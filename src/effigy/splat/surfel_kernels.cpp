@@ -24,5 +24,8 @@ HWY_EXPORT(surfel_kernels);
 SurfelKernels best_surfel_kernels() {
   return HWY_DYNAMIC_DISPATCH(surfel_kernels)();
 }
+std::vector<int64_t> surfel_kernel_targets() {
+  return hwy::SupportedAndGeneratedTargets();
+}
 }  // namespace effigy
 #endif

@@ -93,6 +93,8 @@ struct SurfelKernels {
 
 // The best this machine has (respects hwy::SetSupportedTargetsForTest).
 SurfelKernels best_surfel_kernels();
+// Highway's target bits that are compiled in and that this machine has.
+std::vector<int64_t> surfel_kernel_targets();
 // The same source compiled for one lane.
 SurfelKernels scalar_surfel_kernels();
 

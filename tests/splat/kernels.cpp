@@ -1,0 +1,346 @@
+// The table-driven harness of the rasterizer's kernels. Rows: random scenes, one per kind of
+// trouble (random_scenes.h), times every instruction set this machine has. Three modes: forward
+// against the double-precision oracle, gradient against finite differences of the oracle, speed.
+
+#include <gtest/gtest.h>
+
+#include <hwy/targets.h>
+#include <chrono>
+#include <cstdio>
+
+#include "effigy/base/error.h"
+#include "effigy/base/threads.h"
+#include "effigy/splat/surfel_kernels.h"
+#include "splat/oracle.h"
+#include "splat/random_scenes.h"
+
+namespace effigy {
+namespace {
+
+// Runs the kernels of one instruction set; 0: the separately compiled one-lane source.
+class UseTarget {
+ public:
+  explicit UseTarget(int64_t target) {
+    choose_surfel_kernels(target == 0 ? KernelChoice::kScalar : KernelChoice::kBest);
+    hwy::SetSupportedTargetsForTest(target);
+  }
+  ~UseTarget() {
+    choose_surfel_kernels(KernelChoice::kBest);
+    hwy::SetSupportedTargetsForTest(0);
+  }
+};
+
+std::vector<int64_t> all_targets() {
+  std::vector<int64_t> targets = surfel_kernel_targets();
+  targets.push_back(0);
+  return targets;
+}
+
+struct Drawn {
+  Planes gbuffer;
+  SurfelFrame frame;
+};
+
+Drawn draw(const RandomScene& scene) {
+  Drawn drawn;
+  render_surfels(scene.camera, scene.surfels, scene.texture, scene.options, drawn.gbuffer,
+                 drawn.frame);
+  return drawn;
+}
+
+struct Gradients {
+  PosedSurfels surfels;
+  std::vector<float> texels;
+};
+
+Gradients go_back(const RandomScene& scene, const Drawn& drawn, const Planes& upstream) {
+  Gradients g;
+  g.surfels.resize(scene.surfels.count());
+  g.texels.resize(scene.texture.texels.size());
+  render_surfels_backward(scene.camera, scene.surfels, scene.texture, scene.options, drawn.gbuffer,
+                          drawn.frame, upstream, g.surfels, g.texels);
+  return g;
+}
+
+Planes random_upstream(const RandomScene& scene, uint64_t seed) {
+  Planes planes(scene.camera.width, scene.camera.height, kGBufferPlanes);
+  Random random(seed, 17);
+  for (float& x : planes.data) x = static_cast<float>(random.normal());
+  return planes;
+}
+
+oracle::Scene oracle_scene(const RandomScene& scene) {
+  return oracle::make_scene(scene.camera, scene.surfels, scene.texture, scene.options);
+}
+
+class SurfelKernelTest : public testing::TestWithParam<SceneCase> {};
+
+TEST_P(SurfelKernelTest, ForwardAgreesWithTheOracle) {
+  const RandomScene scene = GetParam().make();
+  const oracle::Image expected = oracle::render(oracle_scene(scene));
+  for (const int64_t target : all_targets()) {
+    const UseTarget use(target);
+    SCOPED_TRACE(target == 0 ? "one lane" : hwy::TargetName(target));
+    if (target != 0) {
+      EXPECT_STREQ(best_surfel_kernels().target, hwy::TargetName(target));
+    }
+    const Drawn drawn = draw(scene);
+    // A pixel may differ where a threshold is met to the last bit.
+    EXPECT_NEAR(static_cast<double>(drawn.frame.pairs()), static_cast<double>(expected.pairs),
+                1 + 1e-4 * static_cast<double>(expected.pairs));
+    ASSERT_EQ(drawn.gbuffer.data.size(), expected.planes.size());
+    const size_t pixels = drawn.gbuffer.pixels();
+    for (int plane = 0; plane < kGBufferPlanes; ++plane) {
+      std::vector<double> errors(pixels);
+      double largest = 1e-6;
+      for (size_t i = 0; i < pixels; ++i) {
+        const double e = expected.planes[static_cast<size_t>(plane) * pixels + i];
+        const double a = static_cast<double>(drawn.gbuffer.plane(plane)[i]);
+        ASSERT_TRUE(std::isfinite(a));
+        largest = std::max(largest, std::abs(e));
+        errors[i] = std::abs(a - e);
+      }
+      std::sort(errors.begin(), errors.end());
+      EXPECT_LE(errors[pixels * 999 / 1000], 1e-4 * largest) << "plane " << plane;
+    }
+  }
+}
+
+// Derivatives of sum(upstream * output) by central differences of the oracle; NaN where the two
+// ends of the step took different decisions (thresholds, clamps, texel borders), or left out by
+// `stride`.
+class Differences {
+ public:
+  Differences(const RandomScene& scene, const Planes& upstream)
+      : scene_(oracle_scene(scene)), upstream_(upstream) {}
+
+  std::vector<double> of(std::vector<double> oracle::Surfels::*field, size_t stride = 1) {
+    return of(scene_.surfels.*field, stride);
+  }
+  std::vector<double> of_texels(size_t stride) { return of(scene_.texels, stride); }
+
+ private:
+  std::vector<double> of(std::vector<double>& x, size_t stride) {
+    std::vector<double> g(x.size(), std::nan(""));
+    for (size_t i = 0; i < x.size(); i += stride) {
+      const double at = x[i], h = 1e-7;
+      if (!std::isfinite(at)) continue;
+      x[i] = at + h;
+      const auto [up, up_signature] = value();
+      x[i] = at - h;
+      const auto [down, down_signature] = value();
+      x[i] = at;
+      if (up_signature == down_signature) g[i] = (up - down) / (2 * h);
+    }
+    return g;
+  }
+  std::pair<double, uint64_t> value() const {
+    const oracle::Image image = oracle::render(scene_);
+    double sum = 0;
+    for (size_t i = 0; i < image.planes.size(); ++i)
+      sum += image.planes[i] * static_cast<double>(upstream_.data[i]);
+    return {sum, image.signature};
+  }
+  oracle::Scene scene_;
+  const Planes& upstream_;
+};
+
+// Relative L2 error over the entries that are known; `known` counts them.
+double relative_error(const std::vector<double>& expected, const std::vector<float>& actual,
+                      size_t& known) {
+  EXPECT_EQ(expected.size(), actual.size());
+  double error = 0, size = 0;
+  known = 0;
+  for (size_t i = 0; i < expected.size(); ++i) {
+    EXPECT_TRUE(std::isfinite(actual[i])) << i;
+    if (std::isnan(expected[i])) continue;
+    ++known;
+    const double e = expected[i] - static_cast<double>(actual[i]);
+    error += e * e;
+    size += expected[i] * expected[i];
+  }
+  return size > 1e-20 ? std::sqrt(error / size) : std::sqrt(error);
+}
+
+TEST_P(SurfelKernelTest, GradientAgreesWithFiniteDifferences) {
+  const RandomScene scene = GetParam().make();
+  const Planes upstream = random_upstream(scene, 3);
+  Differences differences(scene, upstream);
+  const size_t n = scene.surfels.count();
+  struct Row {
+    const char* name;
+    std::vector<float> PosedSurfels::*actual;
+    std::vector<double> expected;
+  };
+  using S = oracle::Surfels;
+  const Row rows[] = {
+      {"center", &PosedSurfels::center, differences.of(&S::center)},
+      {"s", &PosedSurfels::s, differences.of(&S::s)},
+      {"t", &PosedSurfels::t, differences.of(&S::t)},
+      {"opacity", &PosedSurfels::opacity, differences.of(&S::opacity)},
+      {"uv", &PosedSurfels::uv, differences.of(&S::uv)},
+      {"uv_per_st", &PosedSurfels::uv_per_st, differences.of(&S::uv_per_st)},
+      {"frame", &PosedSurfels::frame, differences.of(&S::frame)},
+  };
+  const std::vector<double> texels = differences.of_texels(23);
+  for (const int64_t target : all_targets()) {
+    const UseTarget use(target);
+    SCOPED_TRACE(target == 0 ? "one lane" : hwy::TargetName(target));
+    const Gradients g = go_back(scene, draw(scene), upstream);
+    for (const Row& row : rows) {
+      size_t known = 0;
+      EXPECT_LE(relative_error(row.expected, g.surfels.*row.actual, known), 1e-3) << row.name;
+      EXPECT_GE(2 * known, (g.surfels.*row.actual).size()) << "too few entries checked";
+    }
+    size_t known = 0;
+    EXPECT_LE(relative_error(texels, g.texels, known), 1e-3) << "texels";
+    EXPECT_GT(known, 0u);
+    for (size_t i = 7; i < g.texels.size(); i += 8) EXPECT_EQ(g.texels[i], 0.0f);
+  }
+  EXPECT_EQ(n == 0, std::string(GetParam().name) == "Empty");
+}
+
+INSTANTIATE_TEST_SUITE_P(Scenes, SurfelKernelTest, testing::ValuesIn(kSceneCases),
+                         [](const auto& tested) { return std::string(tested.param.name); });
+
+// The third mode. The bound is far below what the vector units give, so that a busy machine passes.
+TEST(SurfelKernelSpeed, TheBestKernelsAreSeveralTimesFasterThanOneLane) {
+  RandomScene scene = soup(192, 192, 700, 5, 0.3, 21);
+  Random random(5);
+  scene.texture = random_texture(256, 256, random);
+  const Planes upstream = random_upstream(scene, 4);
+  struct Speed {
+    double forward = 1e9, backward = 1e9;
+  };
+  const auto measure = [&](int64_t target) {
+    const UseTarget use(target);
+    Speed best;
+    int64_t pairs = 1;
+    for (int k = 0; k < 3; ++k) {
+      const auto start = std::chrono::steady_clock::now();
+      const Drawn drawn = draw(scene);
+      const auto middle = std::chrono::steady_clock::now();
+      go_back(scene, drawn, upstream);
+      const auto stop = std::chrono::steady_clock::now();
+      pairs = drawn.frame.pairs();
+      const std::chrono::duration<double, std::nano> forward = middle - start;
+      const std::chrono::duration<double, std::nano> backward = stop - middle;
+      best.forward = std::min(best.forward, forward.count() / static_cast<double>(pairs));
+      best.backward = std::min(best.backward, backward.count() / static_cast<double>(pairs));
+    }
+    std::printf("%-9s forward %6.2f, backward %6.2f ns per pair (%lld pairs)\n",
+                target == 0 ? "one lane" : hwy::TargetName(target), best.forward, best.backward,
+                static_cast<long long>(pairs));
+    return best;
+  };
+  const std::vector<int64_t> targets = surfel_kernel_targets();
+  const Speed one_lane = measure(0);
+  Speed best;
+  for (const int64_t target : targets) {
+    const Speed speed = measure(target);
+    best.forward = std::min(best.forward, speed.forward);
+    best.backward = std::min(best.backward, speed.backward);
+  }
+  if (targets.size() < 2) GTEST_SKIP() << "this machine has no vector unit that is compiled in";
+  EXPECT_LT(best.forward, one_lane.forward / 1.5);
+  EXPECT_LT(best.backward, one_lane.backward / 1.5);
+}
+
+TEST(SurfelRaster, ForwardIsTheSameForEveryThreadCount) {
+  const RandomScene scene = soup(90, 70, 120, 6, 0.2, 31);
+  const int before = thread_count();
+  set_thread_count(1);
+  const Drawn one = draw(scene);
+  set_thread_count(3);
+  const Drawn three = draw(scene);
+  set_thread_count(before);
+  EXPECT_EQ(one.gbuffer.data, three.gbuffer.data);
+  EXPECT_EQ(one.frame.pairs(), three.frame.pairs());
+}
+
+TEST(SurfelRaster, BackwardRepeatsBitForBitAndAgreesAcrossThreadCounts) {
+  const RandomScene scene = soup(90, 70, 120, 6, 0.2, 32);
+  const Planes upstream = random_upstream(scene, 5);
+  const int before = thread_count();
+  set_thread_count(1);
+  const Gradients one = go_back(scene, draw(scene), upstream);
+  set_thread_count(3);
+  const Drawn drawn = draw(scene);
+  const Gradients three = go_back(scene, drawn, upstream);
+  const Gradients again = go_back(scene, drawn, upstream);
+  set_thread_count(before);
+  EXPECT_EQ(three.surfels.center, again.surfels.center);
+  EXPECT_EQ(three.surfels.uv_per_st, again.surfels.uv_per_st);
+  EXPECT_EQ(three.texels, again.texels);
+  size_t known = 0;
+  const std::vector<double> wide(one.texels.begin(), one.texels.end());
+  EXPECT_LT(relative_error(wide, three.texels, known), 1e-5);
+  const std::vector<double> center(one.surfels.center.begin(), one.surfels.center.end());
+  EXPECT_LT(relative_error(center, three.surfels.center, known), 1e-4);
+}
+
+TEST(SurfelRaster, BackwardAddsToWhatIsThere) {
+  const RandomScene scene = plain_scene();
+  const Planes upstream = random_upstream(scene, 6);
+  const Drawn drawn = draw(scene);
+  const Gradients alone = go_back(scene, drawn, upstream);
+  Gradients sum;
+  sum.surfels.resize(scene.surfels.count());
+  std::fill(sum.surfels.center.begin(), sum.surfels.center.end(), 2.0f);
+  sum.texels.assign(scene.texture.texels.size(), 3.0f);
+  render_surfels_backward(scene.camera, scene.surfels, scene.texture, scene.options, drawn.gbuffer,
+                          drawn.frame, upstream, sum.surfels, sum.texels);
+  for (size_t i = 0; i < sum.surfels.center.size(); ++i)
+    EXPECT_NEAR(sum.surfels.center[i], alone.surfels.center[i] + 2.0f,
+                1e-5f * (3.0f + std::abs(alone.surfels.center[i])));
+  for (size_t i = 0; i < sum.texels.size(); ++i)
+    EXPECT_NEAR(sum.texels[i], alone.texels[i] + 3.0f, 1e-5f * (4.0f + std::abs(alone.texels[i])));
+}
+
+TEST(SurfelRaster, AFrameCanBeUsedAgainForOtherScenes) {
+  Drawn reused;
+  for (const auto make : {plain_scene, empty_scene, huge_scene, stacked_scene, plain_scene}) {
+    const RandomScene scene = make();
+    const Planes upstream = random_upstream(scene, 7);
+    const Drawn fresh = draw(scene);
+    render_surfels(scene.camera, scene.surfels, scene.texture, scene.options, reused.gbuffer,
+                   reused.frame);
+    EXPECT_EQ(fresh.gbuffer.data, reused.gbuffer.data);
+    EXPECT_EQ(go_back(scene, fresh, upstream).texels, go_back(scene, reused, upstream).texels);
+  }
+}
+
+TEST(SurfelRaster, ASurfelsSidesDifferOnlyInTheirNormals) {
+  RandomScene scene = soup(32, 32, 1, 6, 0.5, 41);
+  const Drawn front = draw(scene);
+  std::swap(scene.surfels.s, scene.surfels.t);  // turns the normal, and nothing else but s and t
+  std::swap(scene.surfels.uv_per_st[0], scene.surfels.uv_per_st[1]);
+  std::swap(scene.surfels.uv_per_st[2], scene.surfels.uv_per_st[3]);
+  const Drawn back = draw(scene);
+  for (int plane = 0; plane < kGBufferPlanes; ++plane) {
+    const float sign = plane >= kMappedNormal && plane < kMappedNormal + 3 ? -1.0f : 1.0f;
+    for (size_t i = 0; i < front.gbuffer.pixels(); ++i)
+      EXPECT_NEAR(front.gbuffer.plane(plane)[i], sign * back.gbuffer.plane(plane)[i], 1e-4f)
+          << "plane " << plane;
+  }
+}
+
+TEST(SurfelRasterErrors, SizesThatMakeNoSenseAreRefused) {
+  RandomScene scene = plain_scene();
+  Drawn drawn;
+  const auto run = [&](const RandomScene& s) {
+    render_surfels(s.camera, s.surfels, s.texture, s.options, drawn.gbuffer, drawn.frame);
+  };
+  RandomScene bad = scene;
+  bad.camera.width = 0;
+  EXPECT_THROW(run(bad), Error);
+  bad = scene;
+  bad.camera.fx = std::nan("");
+  EXPECT_THROW(run(bad), Error);
+  bad = scene;
+  bad.texture = MaterialTexture();
+  EXPECT_THROW(run(bad), Error);
+}
+
+}  // namespace
+}  // namespace effigy
