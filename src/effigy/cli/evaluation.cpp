@@ -5,6 +5,7 @@
 
 #include "effigy/avatar/renderer.h"
 #include "effigy/base/log.h"
+#include "effigy/cli/render_settings.h"
 #include "effigy/image/files.h"
 
 namespace effigy {
@@ -63,6 +64,23 @@ std::optional<double> albedo_error(const HeadAvatar& avatar, const Capture& capt
   return sum / count;
 }
 
+// The scored poses, each seen from the capture's camera or from one of four others around it.
+std::vector<EditView> edit_views(const HeadAvatar& avatar, const Evaluation& evaluation) {
+  constexpr double kAngles[5][2] = {{0, 0}, {0.3, 0}, {-0.3, 0}, {0, 0.2}, {0, -0.2}};
+  std::vector<EditView> views;
+  std::vector<float> vertices;
+  for (size_t i = 0; i < evaluation.tracker.poses.size() && i < 100; ++i) {
+    const RigPose& pose = evaluation.tracker.poses[i];
+    pose_vertices(avatar.shape, pose, vertices);
+    const double* angle = kAngles[i % 5];
+    const Camera camera =
+        i % 5 == 0 ? avatar.camera
+                   : orbit_camera(avatar.camera, head_center(vertices), angle[0], angle[1]);
+    views.push_back({pose, camera});
+  }
+  return views;
+}
+
 }  // namespace
 
 Evaluation evaluate_avatar(const HeadAvatar& avatar, const Capture& capture,
@@ -84,6 +102,7 @@ Evaluation evaluate_avatar(const HeadAvatar& avatar, const Capture& capture,
   for (const RelightSet& set : relight_sets(capture))
     evaluation.relight[set.name] = score_relight(avatar, capture, set);
   evaluation.albedo_error = albedo_error(avatar, capture, evaluation.frames);
+  evaluation.edit = measure_edit_accuracy(avatar, edit_views(avatar, evaluation));
   evaluation.seconds =
       std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
   return evaluation;
@@ -99,6 +118,7 @@ Json Evaluation::metrics() const {
   json["relight"] = Json::object();
   for (const auto& [name, scores] : relight) json["relight"][name] = scores.to_json();
   json["albedo_error"] = albedo_error ? Json(*albedo_error) : Json();
+  json["edit"] = edit.to_json();
   json["lpips_note"] = "left out: no backbone weights";
   json["seconds"] = seconds;
   return json;

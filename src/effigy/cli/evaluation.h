@@ -7,6 +7,7 @@
 
 #include "effigy/avatar/head_avatar.h"
 #include "effigy/capture/capture.h"
+#include "effigy/head/edit_accuracy.h"
 #include "effigy/head/evaluate.h"
 #include "effigy/head/relight.h"
 
@@ -25,6 +26,7 @@ struct Evaluation {
   std::optional<ProtocolScores> refined;
   std::map<std::string, RelightScores> relight;  // synthetic captures only
   std::optional<double> albedo_error;            // mean absolute, sRGB, best scale; where known
+  EditAccuracy edit;  // of a checker painted on the albedo, over frames and views
   double seconds = 0;
   Json metrics() const;  // metrics.json
 };
