@@ -7,6 +7,7 @@
 #include "effigy/base/error.h"
 #include "effigy/base/json.h"
 #include "effigy/base/safetensors.h"
+#include "effigy/rig/flame.h"
 
 namespace effigy {
 namespace {
@@ -173,14 +174,15 @@ void write_rig(const Path& path, const Rig& rig) {
 }
 
 Rig load_rig(const Path& path, const Path& models) {
-  (void)models;  // only the ICT loader looks there
   std::string extension = path.extension().string();
   std::transform(extension.begin(), extension.end(), extension.begin(),
                  [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
   if (!std::filesystem::exists(path))
-    throw Error(path.string() + ": no such rig; give a .safetensors rig file.");
+    throw Error(path.string() + ": no such rig; give a rig.safetensors file or FLAME's .pkl.");
   if (extension == ".safetensors") return read_rig(path);
-  throw Error(path.string() + ": not a rig this program knows; give a .safetensors rig file.");
+  if (extension == ".pkl") return load_flame(path, {models});
+  throw Error(path.string() +
+              ": not a rig this program knows; give a rig.safetensors file or FLAME's .pkl.");
 }
 
 }  // namespace effigy
