@@ -192,6 +192,87 @@ HWY_EXPORT(count_row);
 HWY_EXPORT(consistency_row);
 HWY_EXPORT(depth_gradient_row);
 
+ConsistencyView make_view(const Camera& camera) {
+  ConsistencyView view;
+  for (int i = 0; i < 9; ++i)
+    view.rotation[i] = static_cast<float>(camera.camera_from_world_rotation(i / 3, i % 3));
+  view.inverse_fx = static_cast<float>(1.0 / camera.fx);
+  view.inverse_fy = static_cast<float>(1.0 / camera.fy);
+  view.offset_x = static_cast<float>(0.5 - camera.cx);
+  view.offset_y = static_cast<float>(0.5 - camera.cy);
+  return view;
+}
+
+// Expected depths, and (backward) what each pixel wants of its right, left, lower and upper
+// neighbour's depth: planes whose outermost columns and rows stay zero.
+class PaddedPlanes {
+ public:
+  PaddedPlanes(size_t width, size_t height, size_t planes, std::vector<float>& memory)
+      : pitch(width + 2), plane_(pitch * (height + 2)) {
+    memory.assign(planes * plane_, 0.0f);
+    memory_ = memory.data();
+  }
+  // Column 0 of a row.
+  float* row(size_t plane, size_t y) const {
+    return memory_ + plane * plane_ + (y + 1) * pitch + 1;
+  }
+  const size_t pitch;
+
+ private:
+  size_t plane_;
+  float* memory_;
+};
+
+// Sum of alpha - n . N over a row; adds the normals' gradient and writes the neighbours' wishes.
+double evaluate_row(const Planes& gbuffer, const ConsistencyView& view, const PaddedPlanes& planes,
+                    size_t y, float scale, Planes* d_gbuffer) {
+  const size_t width = static_cast<size_t>(gbuffer.width), at = y * width + 1;
+  ConsistencyRow row{};
+  row.count = width - 2;
+  row.y = static_cast<float>(y);
+  row.depth = planes.row(0, y) + 1;
+  row.up = row.depth - planes.pitch;
+  row.down = row.depth + planes.pitch;
+  row.alpha = gbuffer.plane(kAlpha) + at;
+  row.nx = gbuffer.plane(kNormal) + at;
+  row.ny = gbuffer.plane(kNormal + 1) + at;
+  row.nz = gbuffer.plane(kNormal + 2) + at;
+  row.scale = scale;
+  if (d_gbuffer != nullptr) {
+    row.right = planes.row(1, y) + 1;
+    row.left = planes.row(2, y) + 1;
+    row.below = planes.row(3, y) + 1;
+    row.above = planes.row(4, y) + 1;
+    row.d_nx = d_gbuffer->plane(kNormal) + at;
+    row.d_ny = d_gbuffer->plane(kNormal + 1) + at;
+    row.d_nz = d_gbuffer->plane(kNormal + 2) + at;
+  }
+  return HWY_DYNAMIC_DISPATCH(consistency_row)(row, view);
+}
+
+// Adds the gradients with respect to accumulated depth and alpha; `attached` > 0 is the derivative
+// with respect to the alpha that stands alone.
+void gather_row(const Planes& gbuffer, const PaddedPlanes& planes, size_t y, float attached,
+                Planes& d_gbuffer) {
+  const size_t width = static_cast<size_t>(gbuffer.width);
+  DepthRow row;
+  row.count = width;
+  row.right = planes.row(1, y);
+  row.left = planes.row(2, y);
+  row.below = planes.row(3, y) - planes.pitch;
+  row.above = planes.row(4, y) + planes.pitch;
+  row.depth = planes.row(0, y);
+  row.alpha = gbuffer.plane(kAlpha) + y * width;
+  row.d_depth = d_gbuffer.plane(kDepth) + y * width;
+  row.d_alpha = d_gbuffer.plane(kAlpha) + y * width;
+  HWY_DYNAMIC_DISPATCH(depth_gradient_row)(row);
+  if (attached == 0.0f) return;
+  const float *z = row.depth, *up = z - planes.pitch, *down = z + planes.pitch;
+  for (size_t x = 1; x + 1 < width; ++x)
+    if (z[x] > 0 && z[x - 1] > 0 && z[x + 1] > 0 && up[x] > 0 && down[x] > 0)
+      row.d_alpha[x] += attached;
+}
+
 }  // namespace
 
 double normal_consistency_loss(const Planes& gbuffer, const Camera& camera,
@@ -206,84 +287,36 @@ double normal_consistency_loss(const Planes& gbuffer, const Camera& camera,
   if (gbuffer.width < 3 || gbuffer.height < 3) return 0.0;
   const size_t width = static_cast<size_t>(gbuffer.width);
   const size_t height = static_cast<size_t>(gbuffer.height);
-  // Padded planes: one column on each side and one row above and below stay zero.
-  const size_t pitch = width + 2, plane = pitch * (height + 2);
-  scratch.assign((d_gbuffer == nullptr ? 1 : 5) * plane, 0.0f);
-  const auto padded = [&](size_t which, size_t y) {
-    return scratch.data() + which * plane + (y + 1) * pitch + 1;
+  const PaddedPlanes planes(width, height, d_gbuffer == nullptr ? 1 : 5, scratch);
+  const auto for_rows = [&](const auto& body) {
+    parallel_for(height, 16, [&](size_t begin, size_t end, int) {
+      for (size_t y = begin; y < end; ++y) body(y);
+    });
   };
-  ConsistencyView view;
-  for (int i = 0; i < 9; ++i)
-    view.rotation[i] = static_cast<float>(camera.camera_from_world_rotation(i / 3, i % 3));
-  view.inverse_fx = static_cast<float>(1.0 / camera.fx);
-  view.inverse_fy = static_cast<float>(1.0 / camera.fy);
-  view.offset_x = static_cast<float>(0.5 - camera.cx);
-  view.offset_y = static_cast<float>(0.5 - camera.cy);
-
-  parallel_for(height, 16, [&](size_t begin, size_t end, int) {
-    for (size_t y = begin; y < end; ++y) HWY_DYNAMIC_DISPATCH(expected_depth_row)
-    (gbuffer.plane(kDepth) + y * width, gbuffer.plane(kAlpha) + y * width, padded(0, y), width,
+  for_rows([&](size_t y) {
+    HWY_DYNAMIC_DISPATCH(expected_depth_row)
+    (gbuffer.plane(kDepth) + y * width, gbuffer.plane(kAlpha) + y * width, planes.row(0, y), width,
      options.min_alpha);
   });
   std::vector<size_t> counts(height);
-  parallel_for(height, 16, [&](size_t begin, size_t end, int) {
-    for (size_t y = begin; y < end; ++y)
-      counts[y] = HWY_DYNAMIC_DISPATCH(count_row)(padded(0, y), padded(0, y) - pitch,
-                                                  padded(0, y) + pitch, width);
+  for_rows([&](size_t y) {
+    const float* depth = planes.row(0, y);
+    counts[y] =
+        HWY_DYNAMIC_DISPATCH(count_row)(depth, depth - planes.pitch, depth + planes.pitch, width);
   });
   size_t count = 0;
   for (const size_t row : counts) count += row;
   if (count == 0) return 0.0;
-  const float scale = static_cast<float>(weight / static_cast<double>(count));
 
+  const ConsistencyView view = make_view(camera);
+  const float scale = static_cast<float>(weight / static_cast<double>(count));
   std::vector<double> sums(height);
-  parallel_for(height, 16, [&](size_t begin, size_t end, int) {
-    for (size_t y = begin; y < end; ++y) {
-      if (counts[y] == 0) continue;
-      const size_t at = y * width + 1;
-      ConsistencyRow row{};
-      row.count = width - 2;
-      row.y = static_cast<float>(y);
-      row.depth = padded(0, y) + 1;
-      row.up = row.depth - pitch;
-      row.down = row.depth + pitch;
-      row.alpha = gbuffer.plane(kAlpha) + at;
-      row.nx = gbuffer.plane(kNormal) + at;
-      row.ny = gbuffer.plane(kNormal + 1) + at;
-      row.nz = gbuffer.plane(kNormal + 2) + at;
-      row.scale = scale;
-      if (d_gbuffer != nullptr) {
-        row.right = padded(1, y) + 1;
-        row.left = padded(2, y) + 1;
-        row.below = padded(3, y) + 1;
-        row.above = padded(4, y) + 1;
-        row.d_nx = d_gbuffer->plane(kNormal) + at;
-        row.d_ny = d_gbuffer->plane(kNormal + 1) + at;
-        row.d_nz = d_gbuffer->plane(kNormal + 2) + at;
-      }
-      sums[y] = HWY_DYNAMIC_DISPATCH(consistency_row)(row, view);
-    }
+  for_rows([&](size_t y) {
+    if (counts[y] > 0) sums[y] = evaluate_row(gbuffer, view, planes, y, scale, d_gbuffer);
   });
   if (d_gbuffer != nullptr)
-    parallel_for(height, 16, [&](size_t begin, size_t end, int) {
-      for (size_t y = begin; y < end; ++y) {
-        DepthRow row;
-        row.count = width;
-        row.right = padded(1, y);
-        row.left = padded(2, y);
-        row.below = padded(3, y) - pitch;
-        row.above = padded(4, y) + pitch;
-        row.depth = padded(0, y);
-        row.alpha = gbuffer.plane(kAlpha) + y * width;
-        row.d_depth = d_gbuffer->plane(kDepth) + y * width;
-        row.d_alpha = d_gbuffer->plane(kAlpha) + y * width;
-        HWY_DYNAMIC_DISPATCH(depth_gradient_row)(row);
-        if (options.detach_alpha || counts[y] == 0) continue;
-        const float *z = row.depth, *up = z - pitch, *down = z + pitch;
-        for (size_t x = 1; x + 1 < width; ++x)
-          if (z[x] > 0 && z[x - 1] > 0 && z[x + 1] > 0 && up[x] > 0 && down[x] > 0)
-            row.d_alpha[x] += scale;
-      }
+    for_rows([&](size_t y) {
+      gather_row(gbuffer, planes, y, options.detach_alpha ? 0.0f : scale, *d_gbuffer);
     });
   double sum = 0;
   for (const double row : sums) sum += row;
