@@ -11,6 +11,7 @@
 #include "effigy/base/error.h"
 #include "effigy/geometry/atlas.h"
 #include "effigy/geometry/topology.h"
+#include "effigy/rig/rig_file.h"
 
 namespace effigy {
 namespace {
@@ -84,6 +85,20 @@ TEST_F(IctData, HasWhatARigNeeds) {
   for (const char* name : {"skin", "eye_left", "eye_right", "teeth", "mouth"})
     EXPECT_FALSE(vertices_of(name).empty()) << name;
   for (const float high : rig->expression_high) EXPECT_EQ(high, 1);
+}
+
+TEST_F(IctData, IsLoadedAndStoredLikeAnyRig) {
+  const Rig loaded = load_rig(data_folder(), {});
+  EXPECT_EQ(loaded.kind, "ict-facekit");
+  EXPECT_EQ(loaded.mesh.vertices, rig->mesh.vertices);  // deterministic
+  EXPECT_EQ(loaded.mesh.uvs, rig->mesh.uvs);
+  const Path file = Path(testing::TempDir()) / "effigy_ict_rig.safetensors";
+  write_rig(file, *rig);
+  const Rig back = read_rig(file);
+  EXPECT_EQ(back.mesh.triangles, rig->mesh.triangles);
+  EXPECT_EQ(back.weights, rig->weights);
+  EXPECT_EQ(back.mediapipe.index, rig->mediapipe.index);
+  std::filesystem::remove(file);
 }
 
 TEST_F(IctData, TrianglesHaveFlameSize) {

@@ -8,6 +8,7 @@
 #include "effigy/base/json.h"
 #include "effigy/base/safetensors.h"
 #include "effigy/rig/flame.h"
+#include "effigy/rig/ict.h"
 
 namespace effigy {
 namespace {
@@ -174,15 +175,21 @@ void write_rig(const Path& path, const Rig& rig) {
 }
 
 Rig load_rig(const Path& path, const Path& models) {
+  constexpr const char* kKnown =
+      "give a rig.safetensors file, FLAME's .pkl or ICT-FaceKit's folder.";
   std::string extension = path.extension().string();
   std::transform(extension.begin(), extension.end(), extension.begin(),
                  [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
-  if (!std::filesystem::exists(path))
-    throw Error(path.string() + ": no such rig; give a rig.safetensors file or FLAME's .pkl.");
+  if (!std::filesystem::exists(path)) throw Error(path.string() + ": no such rig; " + kKnown);
+  if (std::filesystem::is_directory(path)) {
+    if (is_ict_folder(path)) return load_ict(path, models);
+    if (std::filesystem::exists(path / "rig.safetensors"))
+      return read_rig(path / "rig.safetensors");
+    throw Error(path.string() + ": a folder without a rig this program knows; " + kKnown);
+  }
   if (extension == ".safetensors") return read_rig(path);
   if (extension == ".pkl") return load_flame(path, {models});
-  throw Error(path.string() +
-              ": not a rig this program knows; give a rig.safetensors file or FLAME's .pkl.");
+  throw Error(path.string() + ": not a rig this program knows; " + kKnown);
 }
 
 }  // namespace effigy
