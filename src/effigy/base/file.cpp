@@ -16,7 +16,8 @@ namespace fs = std::filesystem;
 
 Path temporary_beside(const Path& path) {
   static std::atomic<unsigned> counter{0};
-  const std::string tag = "." + std::to_string(getpid()) + "-" + std::to_string(counter++) + ".part";
+  const std::string tag =
+      "." + std::to_string(getpid()) + "-" + std::to_string(counter++) + ".part";
   Path name = path.filename();
   return path.parent_path() / ("." + name.stem().string() + tag + name.extension().string());
 }

@@ -121,8 +121,9 @@ std::vector<float> TensorFile::floats(const std::string& name, std::vector<int64
   auto values = unpack<float>(find(name, Tensor::Type::kF32, shape));
   for (size_t i = 0; i < values.size(); ++i)
     if (!std::isfinite(values[i]))
-      throw Error(path.string() + ": tensor '" + name + "' has a value that is not finite (element " +
-                  std::to_string(i) + "); write the file again.");
+      throw Error(path.string() + ": tensor '" + name +
+                  "' has a value that is not finite (element " + std::to_string(i) +
+                  "); write the file again.");
   return values;
 }
 std::vector<int32_t> TensorFile::ints(const std::string& name, std::vector<int64_t> shape) const {
@@ -153,7 +154,8 @@ TensorFile read_safetensors(const Path& path) {
   const std::span<const uint8_t> data(bytes.data() + 8 + header_size,
                                       bytes.size() - 8 - header_size);
   try {
-    const Json header = Json::parse(bytes.begin() + 8, bytes.begin() + 8 + static_cast<int64_t>(header_size));
+    const Json header =
+        Json::parse(bytes.begin() + 8, bytes.begin() + 8 + static_cast<int64_t>(header_size));
     for (const auto& [name, entry] : header.items()) {
       if (name == "__metadata__") {
         file.metadata = entry.get<std::map<std::string, std::string>>();
@@ -185,7 +187,8 @@ void write_safetensors(const Path& path, const TensorFile& file) {
   std::memcpy(bytes.data() + 8, text.data(), text.size());
   size_t at = 8 + text.size();
   for (const auto& [name, tensor] : file.tensors) {
-    if (!tensor.bytes.empty()) std::memcpy(bytes.data() + at, tensor.bytes.data(), tensor.bytes.size());
+    if (!tensor.bytes.empty())
+      std::memcpy(bytes.data() + at, tensor.bytes.data(), tensor.bytes.size());
     at += tensor.bytes.size();
   }
   write_file(path, bytes);
