@@ -81,6 +81,12 @@ TEST(RigFile, MissingAndUnknownFilesAreNamed) {
   const Path odd = scratch("rig.xyz");
   write_text(odd, "hello");
   EXPECT_NE(refusal([&] { load_rig(odd, {}); }).find("not a rig"), std::string::npos);
+  const Path folder = scratch("folder_of_rig");
+  make_folder(folder);
+  EXPECT_NE(refusal([&] { load_rig(folder, {}); }).find("folder without a rig"), std::string::npos);
+  write_rig(folder / "rig.safetensors", full_rig());
+  EXPECT_EQ(load_rig(folder, {}).neck_ring, full_rig().neck_ring);
+  std::filesystem::remove_all(folder);
 }
 
 // Each way to damage a rig must be refused, with the field named.

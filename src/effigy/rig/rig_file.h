@@ -9,9 +9,11 @@ namespace effigy {
 Rig read_rig(const Path& path);
 void write_rig(const Path& path, const Rig& rig);
 
-// A rig from anything we know: our .safetensors, a FLAME .pkl, a folder with ICT-FaceKit's packed
-// file or the original repository's OBJ files. `models` may hold the MediaPipe geometry file used
-// for landmark embeddings. Throws Error for unknown ones.
+// A rig from anything we know: our .safetensors (or a folder, such as an avatar's, with
+// rig.safetensors), a FLAME .pkl (rig/flame.h), a folder with ICT-FaceKit's packed file or the
+// original repository's OBJ files (rig/ict.h). `models` may be empty; it may hold the MediaPipe
+// geometry file used for ICT's landmark embeddings, and FLAME's UV layout. Throws Error for unknown
+// ones.
 Rig load_rig(const Path& path, const Path& models);
 
 }  // namespace effigy
