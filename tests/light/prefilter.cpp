@@ -112,7 +112,7 @@ TEST(Prefilter, MatchesTheFullSum) {
     const int size = lamp_maps[m]->size, grid = roughness < 0.35 ? 8 : 3;
     const double peak = full_sum(lamp, lamp_direction, roughness, diffuse, grid).x();
     double lamp_error = 0, noise_error = 0;
-    for (int i = 0; i < 40; ++i) {
+    for (int i = 0; i < 24; ++i) {
       size_t texel = 0;
       Vec3d axis;
       for (int attempt = 0; attempt < 2000; ++attempt) {

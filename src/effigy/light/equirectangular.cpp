@@ -46,10 +46,10 @@ class Column {
         cumulative_[row + 1][c] = cumulative_[row][c] + height * radiance(row, c);
     }
   }
-  // Integral from the north pole to the polar angle whose cosine is given.
-  std::array<double, 3> integral(double cosine) const {
-    const double theta = std::acos(std::clamp(cosine, -1.0, 1.0));
-    const int row = std::min(static_cast<int>(theta / kPi * image_.height), image_.height - 1);
+  // Integral from the north pole to the polar angle whose cosine is given. `row`: where to search
+  // from; 0 at the pole, then left for the next, lower angle.
+  std::array<double, 3> integral(double cosine, int& row) const {
+    while (row + 1 < image_.height && row_cosine_[row + 1] > cosine) ++row;
     std::array<double, 3> value;
     for (int c = 0; c < 3; ++c)
       value[c] = cumulative_[row][c] + (row_cosine_[row] - cosine) * radiance(row, c);
@@ -97,9 +97,10 @@ void add_meridian(double longitude, double weight, const Column& column, int n,
                   std::vector<Crossing>& crossings, Sums& sums) {
   const double hx = std::sin(longitude), hz = -std::cos(longitude);
   double cosine = 1.0;
+  int row = 0;
   std::array<double, 3> below = {0, 0, 0};
   const auto step = [&](int face, int x, int y, double next) {
-    const std::array<double, 3> upto = column.integral(next);
+    const std::array<double, 3> upto = column.integral(next, row);
     auto& sum = sums[(static_cast<size_t>(face) * n + y) * n + x];
     for (int c = 0; c < 3; ++c) sum[c] += weight * (upto[c] - below[c]);
     sum[3] += weight * (cosine - next);
