@@ -89,7 +89,7 @@ void pose_vertices_backward(const RigShape& shape, const RigPose& pose,
                             std::span<const float> d_vertices, RigGradient& gradient);
 
 // World (head-root) transform of each joint: 3x4 row-major matrices that map rest space to posed
-// space, [J][12].
+// space, translation included, [J][12].
 std::vector<float> joint_transforms(const RigShape& shape, const RigPose& pose);
 
 // The position of each landmark on the given posed vertices, 3 per landmark.
