@@ -26,8 +26,10 @@ void draw_point(Image8& image, double x, double y, double radius, const Ink& ink
 // A ring of ink.width around the circle.
 void draw_circle(Image8& image, double x, double y, double radius, const Ink& ink);
 // Edges of a projected mesh: vertices as x, y pairs (2 V floats), triangles as index triples (3 T).
-// Every edge once; triangles with a non-finite vertex are left out. `cull_back` leaves out the
-// triangles seen from behind: those whose vertices run clockwise in the picture.
+// Every edge once; triangles with a non-finite vertex are left out. `cull_back` leaves out
+// triangles seen from behind, for meshes whose triangles run counter-clockwise seen from outside:
+// projected by a camera with y down they still look counter-clockwise (their signed area in pixels
+// is negative).
 void draw_triangle_wireframe(Image8& image, std::span<const float> vertices,
                              std::span<const int32_t> triangles, const Ink& ink,
                              bool cull_back = true);
