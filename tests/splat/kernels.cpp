@@ -73,6 +73,25 @@ oracle::Scene oracle_scene(const RandomScene& scene) {
   return oracle::make_scene(scene.camera, scene.surfels, scene.texture, scene.options);
 }
 
+// 99.9th percentile of the error within 1e-4 of the plane's largest value.
+void expect_planes_near(const oracle::Image& expected, const Planes& actual, int planes) {
+  ASSERT_EQ(actual.data.size(), expected.planes.size());
+  const size_t pixels = actual.pixels();
+  for (int plane = 0; plane < planes; ++plane) {
+    std::vector<double> errors(pixels);
+    double largest = 1e-6;
+    for (size_t i = 0; i < pixels; ++i) {
+      const double e = expected.planes[static_cast<size_t>(plane) * pixels + i];
+      const double a = static_cast<double>(actual.plane(plane)[i]);
+      ASSERT_TRUE(std::isfinite(a));
+      largest = std::max(largest, std::abs(e));
+      errors[i] = std::abs(a - e);
+    }
+    std::sort(errors.begin(), errors.end());
+    EXPECT_LE(errors[pixels * 999 / 1000], 1e-4 * largest) << "plane " << plane;
+  }
+}
+
 class SurfelKernelTest : public testing::TestWithParam<SceneCase> {};
 
 TEST_P(SurfelKernelTest, ForwardAgreesWithTheOracle) {
@@ -88,21 +107,14 @@ TEST_P(SurfelKernelTest, ForwardAgreesWithTheOracle) {
     // A pixel may differ where a threshold is met to the last bit.
     EXPECT_NEAR(static_cast<double>(drawn.frame.pairs()), static_cast<double>(expected.pairs),
                 1 + 1e-4 * static_cast<double>(expected.pairs));
-    ASSERT_EQ(drawn.gbuffer.data.size(), expected.planes.size());
-    const size_t pixels = drawn.gbuffer.pixels();
-    for (int plane = 0; plane < kGBufferPlanes; ++plane) {
-      std::vector<double> errors(pixels);
-      double largest = 1e-6;
-      for (size_t i = 0; i < pixels; ++i) {
-        const double e = expected.planes[static_cast<size_t>(plane) * pixels + i];
-        const double a = static_cast<double>(drawn.gbuffer.plane(plane)[i]);
-        ASSERT_TRUE(std::isfinite(a));
-        largest = std::max(largest, std::abs(e));
-        errors[i] = std::abs(a - e);
-      }
-      std::sort(errors.begin(), errors.end());
-      EXPECT_LE(errors[pixels * 999 / 1000], 1e-4 * largest) << "plane " << plane;
-    }
+    expect_planes_near(expected, drawn.gbuffer, kGBufferPlanes);
+    // Playback with a lookup for every surfel is the same picture, without the distortion.
+    Drawn played;
+    const PlaybackOptions playback{scene.options.near, scene.options.low_pass, 0.0f};
+    render_surfels_playback(scene.camera, scene.surfels, scene.texture, playback, played.gbuffer,
+                            played.frame);
+    expect_planes_near(expected, played.gbuffer, kUvDistortion);
+    EXPECT_EQ(played.frame.pairs(), drawn.frame.pairs());
   }
 }
 
@@ -323,6 +335,50 @@ TEST(SurfelRaster, ASurfelsSidesDifferOnlyInTheirNormals) {
       EXPECT_NEAR(front.gbuffer.plane(plane)[i], sign * back.gbuffer.plane(plane)[i], 1e-4f)
           << "plane " << plane;
   }
+}
+
+// A smooth texture seen through layers that agree about it: one lookup does for all.
+TEST(SurfelPlayback, SharedLookupsAreCloseToALookupForEverySurfel) {
+  Random random(8);
+  RandomScene scene = soup(64, 64, 0, 5, 0.6, 51);
+  scene.texture = MaterialTexture(64, 64);
+  for (size_t y = 0; y < 64; ++y) {
+    for (size_t x = 0; x < 64; ++x) {
+      float* texel = &scene.texture.texels[8 * (64 * y + x)];
+      for (size_t c = 0; c < 7; ++c)
+        texel[c] = 0.4f + 0.3f * std::sin(0.2f * static_cast<float>(x + c) +
+                                          0.15f * static_cast<float>(y));
+    }
+  }
+  const Camera& camera = scene.camera;
+  const Mat3d world_from_camera = camera.camera_from_world_rotation.transpose();
+  for (int i = 0; i < 500; ++i) {
+    const double x = random.uniform(0, 64), y = random.uniform(0, 64), z = random.uniform(2.9, 3.1);
+    const double sx = 3.0 * z / camera.fx, sy = 3.0 * z / camera.fy;
+    add_surfel(scene.surfels, world_at(camera, x, y, z), world_from_camera * Vec3d(sx, 0, 0),
+               world_from_camera * Vec3d(0, sy, 0), 0.7, random);
+    // uv = pixel / 64, but for a tenth of a texel.
+    const size_t k = scene.surfels.count() - 1;
+    scene.surfels.uv[2 * k] = static_cast<float>((x + random.uniform(-0.1, 0.1)) / 64);
+    scene.surfels.uv[2 * k + 1] = static_cast<float>((y + random.uniform(-0.1, 0.1)) / 64);
+    const float j[4] = {3.0f / 64, 0, 0, 3.0f / 64};
+    std::copy_n(j, 4, &scene.surfels.uv_per_st[4 * k]);
+    for (size_t c = 0; c < 9; ++c) scene.surfels.frame[9 * k + c] = scene.surfels.frame[c];
+  }
+  const auto play = [&](float spread) {
+    Drawn drawn;
+    render_surfels_playback(camera, scene.surfels, scene.texture, {0.01f, true, spread},
+                            drawn.gbuffer, drawn.frame);
+    return drawn.gbuffer;
+  };
+  const Planes every = play(0.0f), shared = play(1.0f);
+  for (int plane = 0; plane < kUvDistortion; ++plane) {
+    double error = 0;
+    for (size_t i = 0; i < every.pixels(); ++i)
+      error += std::pow(static_cast<double>(every.plane(plane)[i] - shared.plane(plane)[i]), 2);
+    EXPECT_LT(std::sqrt(error / static_cast<double>(every.pixels())), 1e-3) << "plane " << plane;
+  }
+  EXPECT_NE(every.data, shared.data);  // they did share
 }
 
 TEST(SurfelRasterErrors, SizesThatMakeNoSenseAreRefused) {

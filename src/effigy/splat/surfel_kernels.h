@@ -27,6 +27,9 @@ struct SurfelScene {
   bool low_pass = false;
   UvDistortion uv_distortion = UvDistortion::kOff;
   float uv_threshold = 0.0f;
+  float spread = 0.0f;       // playback: texels
+  float negligible = 0.0f;   // playback: transmittance below which any run will do
+  bool own_normals = false;  // playback: some frame's normal is not the surfel's own
 };
 
 struct SurfelTile {
@@ -88,6 +91,8 @@ struct SurfelKernels {
   // Needs workspace.grad and workspace.remaining; adds to the buffers.
   void (*backward)(const SurfelScene&, const SurfelTile&, SurfelWorkspace&,
                    const SurfelGradientBuffers&);
+  // Like forward without the UV distortion; overwrites workspace.grad.
+  void (*playback)(const SurfelScene&, const SurfelTile&, SurfelWorkspace&);
   const char* target;  // name of the instruction set
 };
 

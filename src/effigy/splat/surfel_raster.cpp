@@ -17,6 +17,8 @@ namespace {
 
 constexpr int kLargestTexture = 16384;
 constexpr int kLargestImage = 32768;
+// Playback: the share of a pixel that may take the material of its other part.
+constexpr float kNegligible = 1.0f / 64.0f;
 
 std::atomic<KernelChoice> g_choice{KernelChoice::kBest};
 
@@ -206,16 +208,12 @@ void reduce_texels(std::vector<SurfelFrame::State::Buffers>& buffers, int slots,
 
 }  // namespace
 
-void render_surfels(const Camera& camera, const PosedSurfels& surfels,
-                    const MaterialTexture& texture, const SurfelRasterOptions& options,
-                    Planes& gbuffer, SurfelFrame& frame) {
-  check_arguments(camera, surfels, texture);
-  SurfelFrame::State& state = *frame.state;
-  resize_planes(gbuffer, camera.width, camera.height, kGBufferPlanes);
-  prepare_surfels(camera, surfels, options.near, options.low_pass, state.view);
-  bin_surfels(state.view, camera.width, camera.height, state.bins);
-  const SurfelScene scene = make_scene(state.view, texture, options);
-  const SurfelKernels kernels = chosen_kernels();
+namespace {
+
+// Draws all tiles with one kind of kernel.
+void draw_tiles(const Camera& camera, const SurfelScene& scene,
+                void (*kernel)(const SurfelScene&, const SurfelTile&, SurfelWorkspace&),
+                SurfelFrame::State& state, Planes& gbuffer) {
   const int tiles = state.bins.count(), slots = std::min(thread_count(), tiles);
   state.tile_pairs.assign(static_cast<size_t>(tiles), 0);
   state.tile_used.assign(static_cast<size_t>(tiles), 0);
@@ -226,7 +224,7 @@ void render_surfels(const Camera& camera, const PosedSurfels& surfels,
     SurfelWorkspace& ws = *state.workspaces[static_cast<size_t>(slot)];
     for (int t = next++; t < tiles; t = next++) {
       const SurfelTile tile = make_tile(camera, state.bins, t);
-      kernels.forward(scene, tile, ws);
+      kernel(scene, tile, ws);
       copy_out(tile, ws.out, kGBufferPlanes, gbuffer);
       state.tile_pairs[static_cast<size_t>(t)] = ws.pairs;
       state.tile_used[static_cast<size_t>(t)] = static_cast<uint32_t>(ws.used);
@@ -234,7 +232,50 @@ void render_surfels(const Camera& camera, const PosedSurfels& surfels,
   });
   state.pairs = 0;
   for (const int64_t p : state.tile_pairs) state.pairs += p;
+}
+
+// Whether some frame's normal is not the normal of its surfel.
+bool has_own_normals(const SurfelView& view) {
+  for (const SurfelRecord& r : view.records) {
+    float difference = 0.0f;
+    for (int k = 0; k < 3; ++k) difference += std::abs(r.normal[k] - r.frame[6 + k]);
+    if (!(difference < 1e-4f)) return true;
+  }
+  return false;
+}
+
+}  // namespace
+
+void render_surfels(const Camera& camera, const PosedSurfels& surfels,
+                    const MaterialTexture& texture, const SurfelRasterOptions& options,
+                    Planes& gbuffer, SurfelFrame& frame) {
+  check_arguments(camera, surfels, texture);
+  SurfelFrame::State& state = *frame.state;
+  resize_planes(gbuffer, camera.width, camera.height, kGBufferPlanes);
+  prepare_surfels(camera, surfels, options.near, options.low_pass, state.view);
+  bin_surfels(state.view, camera.width, camera.height, state.bins);
+  const SurfelScene scene = make_scene(state.view, texture, options);
+  draw_tiles(camera, scene, chosen_kernels().forward, state, gbuffer);
   state.can_go_back = true;
+}
+
+void render_surfels_playback(const Camera& camera, const PosedSurfels& surfels,
+                             const MaterialTexture& texture, const PlaybackOptions& options,
+                             Planes& gbuffer, SurfelFrame& frame) {
+  check_arguments(camera, surfels, texture);
+  SurfelFrame::State& state = *frame.state;
+  resize_planes(gbuffer, camera.width, camera.height, kGBufferPlanes);
+  prepare_surfels(camera, surfels, options.near, options.low_pass, state.view);
+  bin_surfels(state.view, camera.width, camera.height, state.bins);
+  SurfelRasterOptions raster;
+  raster.near = options.near;
+  raster.low_pass = options.low_pass;
+  SurfelScene scene = make_scene(state.view, texture, raster);
+  scene.spread = std::max(0.0f, options.spread_texels);
+  scene.negligible = options.spread_texels > 0.0f ? kNegligible : 0.0f;
+  scene.own_normals = has_own_normals(state.view);
+  draw_tiles(camera, scene, chosen_kernels().playback, state, gbuffer);
+  state.can_go_back = false;
 }
 
 void render_surfels_backward(const Camera& camera, const PosedSurfels& surfels,

@@ -79,8 +79,10 @@ void render_surfels(const Camera& camera, const PosedSurfels& surfels,
                     const MaterialTexture& texture, const SurfelRasterOptions& options,
                     Planes& gbuffer, SurfelFrame& frame);
 
-// Playback: as render_surfels without kUvDistortion, but one texture lookup at the blended uv for
-// pixels whose uv spread is under `spread_texels`; the rest is looked up per surfel.
+// Playback: as render_surfels without kUvDistortion (that plane is 0), but surfels that follow each
+// other along a ray and agree about the texture coordinate within `spread_texels` share one lookup
+// at their mean. The error is of second order in the spread; at most 1/64 of a pixel takes the
+// material of its other part. 0: a lookup for every surfel.
 struct PlaybackOptions {
   float near = 0.01f;
   bool low_pass = true;

@@ -1,0 +1,43 @@
+// Benchmarks of the head's kernels, used by `effigy bench`.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "effigy/geometry/types.h"
+#include "effigy/splat/surfel_raster.h"
+
+namespace effigy {
+
+struct BenchResult {
+  std::string name;  // key of `effigy bench --json`
+  double median = 0, min = 0, max = 0;
+  int threads = 1;
+};
+
+struct BenchOptions {
+  int repeats = 15;  // timed runs of each kernel, after one to warm up
+  int surfels = 10000;
+  int image = 512;     // pixels a side
+  int texture = 1024;  // texels a side
+};
+
+// The scene that all kernel figures are about: surfels on a Fibonacci sphere of radius 1 at
+// distance 4 that covers 60 % of a square image, standard deviation 0.6 times their spacing,
+// opacity 0.9, UV = longitude and latitude, a texture with detail at every scale. Both sides of the
+// sphere are blended.
+struct BenchScene {
+  Camera camera;
+  PosedSurfels surfels;
+  MaterialTexture texture;
+};
+BenchScene make_bench_scene(const BenchOptions& options);
+
+// head.forward.ns_per_pair, head.forward_backward.ns_per_pair (with the paper's UV distortion),
+// head.playback.ns_per_pair: wall-clock nanoseconds per blended surfel-pixel pair, everything
+// included; head.playback.deferred_psnr: material and normals of playback against the full
+// rasterizer, decibels, peak 1; head.scalar.ratio: time of forward with one lane over time with the
+// best instruction set, one thread each.
+std::vector<BenchResult> bench_kernels(const BenchOptions& options);
+
+}  // namespace effigy
