@@ -1,0 +1,257 @@
+#include "effigy/track/fit.h"
+
+#include <ceres/problem.h>
+#include <ceres/solver.h>
+
+#include <algorithm>
+#include <cmath>
+#include <memory>
+
+#include "effigy/base/error.h"
+#include "effigy/base/log.h"
+#include "effigy/base/progress.h"
+#include "effigy/base/threads.h"
+#include "effigy/track/fit_setup.h"
+
+namespace effigy {
+namespace {
+
+// Ceres runs in rounds; between them it is decided anew which parameters rest on their limits.
+constexpr int kSharedRounds = 12, kSharedIterations = 4, kFrameIterations = 3;
+constexpr double kSharedTolerance = 2e-3, kFrameTolerance = 5e-3;
+constexpr int kChunk = 40;  // frames that follow each other; fixed, so that threads change nothing
+
+ceres::Solver::Options solver_options(int iterations) {
+  ceres::Solver::Options options;
+  options.max_num_iterations = iterations;
+  options.function_tolerance = 1e-4;
+  options.gradient_tolerance = 1e-8;
+  options.parameter_tolerance = 1e-6;
+  options.logging_type = ceres::SILENT;
+  options.num_threads = 1;
+  return options;
+}
+
+ceres::Problem::Options borrowing() {
+  ceres::Problem::Options options;
+  options.cost_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
+  options.manifold_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
+  return options;
+}
+
+// Gradient of the cost with respect to the last of its parameter blocks.
+Eigen::VectorXd frame_gradient(const FrameCost& cost, const double* const* blocks, int count,
+                               Eigen::Index size) {
+  Eigen::VectorXd residuals(cost.num_residuals());
+  FitModel::Matrix jacobian(cost.num_residuals(), size);
+  std::vector<double*> jacobians(static_cast<size_t>(count), nullptr);
+  jacobians.back() = jacobian.data();
+  if (!cost.Evaluate(blocks, residuals.data(), jacobians.data()))
+    return Eigen::VectorXd::Zero(size);
+  return jacobian.transpose() * residuals;
+}
+
+// Focal length and identity, together with the pose and expression of the key frames.
+struct Shared {
+  double focal = 0;
+  Eigen::VectorXd identity;
+};
+
+Shared solve_shared(const FitSetup& setup, const Rig& rig, const std::vector<int>& keys,
+                    const FitOptions& options) {
+  const FitModel& model = setup.model();
+  double log_focal = std::log(setup.typical_focal());
+  Eigen::VectorXd identity = Eigen::VectorXd::Zero(std::max(model.identity_count(), 1));
+  std::vector<FrameTarget> targets;
+  std::vector<Eigen::VectorXd> frames;
+  for (const int f : keys) {
+    targets.push_back(setup.target(f));
+    frames.push_back(setup.first_guess(f, model, setup.typical_focal()));
+  }
+  if (model.identity_count() == 0)
+    return {setup.typical_focal(), Eigen::VectorXd()};  // nothing is shared but the guess
+
+  for (size_t k = 0; k < keys.size(); ++k)
+    frames[k] = frames[k].cwiseMax(targets[k].lower).cwiseMin(targets[k].upper);
+  // Identity counts once a frame in the data; its prior must not vanish beside many frames.
+  Eigen::VectorXd identity_weight(model.identity_count());
+  for (int i = 0; i < model.identity_count(); ++i)
+    identity_weight[i] = 1.0 / std::max(rig.identity_sigma[i], 1e-6f);
+  PriorCost identity_prior(Eigen::VectorXd::Zero(model.identity_count()), identity_weight);
+  PriorCost focal_prior(Eigen::VectorXd::Constant(1, std::log(setup.typical_focal())),
+                        Eigen::VectorXd::Constant(1, 1.0 / options.log_focal_sigma));
+  double last = 0;
+  for (int round = 0; round < kSharedRounds; ++round) {
+    throw_if_interrupted();
+    ceres::Problem problem(borrowing());
+    ceres::Solver::Options solver = solver_options(kSharedIterations);
+    solver.linear_solver_type = ceres::DENSE_SCHUR;
+    solver.linear_solver_ordering = std::make_shared<ceres::ParameterBlockOrdering>();
+    std::vector<std::unique_ptr<FrameCost>> costs;
+    std::vector<std::unique_ptr<BoxManifold>> boxes;
+    for (size_t k = 0; k < keys.size(); ++k) {
+      costs.push_back(std::make_unique<FrameCost>(model, targets[k], options.robust_at, 0));
+      boxes.push_back(std::make_unique<BoxManifold>(targets[k].lower, targets[k].upper));
+      const double* blocks[3] = {&log_focal, identity.data(), frames[k].data()};
+      boxes[k]->hold(frames[k], frame_gradient(*costs[k], blocks, 3, frames[k].size()));
+      problem.AddResidualBlock(costs[k].get(), nullptr, &log_focal, identity.data(),
+                               frames[k].data());
+      problem.SetManifold(frames[k].data(), boxes[k].get());
+      solver.linear_solver_ordering->AddElementToGroup(frames[k].data(), 0);
+    }
+    solver.linear_solver_ordering->AddElementToGroup(&log_focal, 1);
+    solver.linear_solver_ordering->AddElementToGroup(identity.data(), 1);
+    problem.AddResidualBlock(&identity_prior, nullptr, identity.data());
+    problem.AddResidualBlock(&focal_prior, nullptr, &log_focal);
+    ceres::Solver::Summary summary;
+    ceres::Solve(solver, &problem, &summary);
+    log_debug("fit: " + summary.BriefReport());
+    if (!summary.IsSolutionUsable())
+      throw Error("The rig could not be fitted to the face in this video (" + summary.message +
+                  "); check that the video shows one face, upright and not mirrored by effects.");
+    if (round > 0 && last - summary.final_cost < kSharedTolerance * last) break;
+    last = summary.final_cost;
+  }
+  return {std::exp(log_focal), identity};
+}
+
+// One frame with everything shared fixed; `frame` is guess and result.
+void solve_frame(const FitModel& model, const FrameTarget& target, double focal,
+                 const FitOptions& options, int rounds, Eigen::VectorXd& frame) {
+  const Eigen::VectorXd before = frame;
+  frame = frame.cwiseMax(target.lower).cwiseMin(target.upper);
+  FrameCost cost(model, target, options.robust_at, focal);
+  BoxManifold box(target.lower, target.upper);
+  for (int round = 0; round < rounds; ++round) {
+    const double* blocks[1] = {frame.data()};
+    box.hold(frame, frame_gradient(cost, blocks, 1, frame.size()));
+    ceres::Problem problem(borrowing());
+    problem.AddResidualBlock(&cost, nullptr, frame.data());
+    problem.SetManifold(frame.data(), &box);
+    ceres::Solver::Options solver = solver_options(kFrameIterations);
+    solver.linear_solver_type = ceres::DENSE_NORMAL_CHOLESKY;
+    ceres::Solver::Summary summary;
+    ceres::Solve(solver, &problem, &summary);
+    if (!summary.IsSolutionUsable() || !frame.allFinite()) {
+      frame = before;
+      break;
+    }
+    if (summary.initial_cost - summary.final_cost < kFrameTolerance * summary.initial_cost) break;
+  }
+}
+
+// Pulls `target` towards `mean` as well, with 1 / sigma = `weight`.
+void add_prior(FrameTarget& target, const Eigen::VectorXd& mean, const Eigen::VectorXd& weight) {
+  for (Eigen::Index k = 0; k < mean.size(); ++k) {
+    const double a = target.prior_weight[k] * target.prior_weight[k], b = weight[k] * weight[k];
+    if (a + b <= 0) continue;
+    target.prior_mean[k] = (a * target.prior_mean[k] + b * mean[k]) / (a + b);
+    target.prior_weight[k] = std::sqrt(a + b);
+  }
+}
+
+// All tracked frames, chunk by chunk in the order of time; then once more, each towards the mean of
+// its neighbours, which smooths without delay.
+std::vector<Eigen::VectorXd> solve_frames(const FitSetup& setup, const FitModel& model,
+                                          double focal, const FitOptions& options) {
+  const std::vector<int>& tracked = setup.tracked();
+  const size_t count = tracked.size();
+  std::vector<Eigen::VectorXd> frames(count);
+  std::vector<FrameTarget> targets(count);
+  const Eigen::VectorXd smooth = setup.smoothness();
+  const size_t chunks = (count + kChunk - 1) / kChunk;
+  parallel_for(chunks, 1, [&](size_t begin, size_t end, int) {
+    for (size_t chunk = begin; chunk < end; ++chunk) {
+      const size_t last = std::min(count, (chunk + 1) * kChunk);
+      for (size_t i = chunk * kChunk; i < last; ++i) {
+        throw_if_interrupted();
+        targets[i] = setup.target(tracked[i]);
+        const bool follows = i > chunk * kChunk && tracked[i] == tracked[i - 1] + 1;
+        frames[i] = follows ? frames[i - 1] : setup.first_guess(tracked[i], model, focal);
+        solve_frame(model, targets[i], focal, options, follows ? 3 : 8, frames[i]);
+      }
+    }
+  });
+  std::vector<Eigen::VectorXd> result(count);
+  parallel_for(count, 8, [&](size_t begin, size_t end, int) {
+    for (size_t i = begin; i < end; ++i) {
+      throw_if_interrupted();
+      Eigen::VectorXd mean = Eigen::VectorXd::Zero(model.frame_size());
+      double weight = 0;
+      for (const int d : {-2, -1, 1, 2}) {
+        const auto k = static_cast<std::ptrdiff_t>(i) + d;
+        if (k < 0 || k >= static_cast<std::ptrdiff_t>(count)) continue;
+        if (tracked[static_cast<size_t>(k)] != tracked[i] + d) continue;
+        const double w = std::abs(d) == 1 ? 2.0 / 3.0 : -1.0 / 6.0;  // a cubic through the others
+        mean += w * frames[static_cast<size_t>(k)];
+        weight += w;
+      }
+      result[i] = frames[i];
+      if (weight < 0.9) continue;  // at the ends and beside gaps
+      add_prior(targets[i], mean / weight, smooth);
+      solve_frame(model, targets[i], focal, options, 2, result[i]);
+    }
+  });
+  return result;
+}
+
+// Mean distance of the chosen points to where the network saw them.
+double mean_error(const FitSetup& setup, const Rig& rig, const FitModel::Result& result,
+                  const std::vector<bool>& chosen, double focal, int frame) {
+  double sum = 0;
+  int count = 0;
+  for (size_t i = 0; i < chosen.size(); ++i) {
+    if (!chosen[i]) continue;
+    const Vec3d p = result.position.row(static_cast<Eigen::Index>(i)).transpose();
+    const Vec2d pixel(-focal * p.x() / p.z(), focal * p.y() / p.z());
+    sum += (pixel - setup.seen(frame, rig.mediapipe.index[i])).norm();
+    ++count;
+  }
+  return count > 0 ? sum / count : 0.0;
+}
+
+}  // namespace
+
+Camera fit_camera(double focal, int width, int height) {
+  Camera camera;
+  camera.width = width;
+  camera.height = height;
+  camera.fx = camera.fy = focal;
+  camera.cx = 0.5 * width;
+  camera.cy = 0.5 * height;
+  camera.camera_from_world_rotation = Vec3d(1, -1, -1).asDiagonal();
+  return camera;
+}
+
+FitResult fit_rig(const Rig& rig, const std::vector<FaceObservation>& frames, int width, int height,
+                  const FitOptions& options) {
+  const FitSetup setup(rig, frames, width, height, options);
+  FitResult fit;
+  fit.key_frames = setup.choose_key_frames(options.key_frames);
+  const Shared shared = solve_shared(setup, rig, fit.key_frames, options);
+  fit.focal = shared.focal;
+  for (const double value : shared.identity) fit.identity.push_back(static_cast<float>(value));
+  const FitModel model = setup.model().with_identity(shared.identity.data());
+  const std::vector<Eigen::VectorXd> solved = solve_frames(setup, model, shared.focal, options);
+
+  const FitModel all_points = setup.all_points().with_identity(shared.identity.data());
+  fit.error.assign(frames.size(), -1.0);
+  fit.heldout_error.assign(frames.size(), -1.0);
+  fit.poses.assign(frames.size(), setup.pose_of(solved[0]));
+  for (const bool held : setup.held_out()) fit.heldout_points += held ? 1 : 0;
+  const std::vector<int>& tracked = setup.tracked();
+  for (size_t i = 0; i < tracked.size(); ++i) {
+    const int f = tracked[i];
+    FitModel::Result result;
+    all_points.evaluate(nullptr, solved[i].data(), false, false, result);
+    fit.error[f] = mean_error(setup, rig, result, setup.inner(), shared.focal, f);
+    fit.heldout_error[f] = mean_error(setup, rig, result, setup.held_out(), shared.focal, f);
+    // Frames without a face keep the pose of the last one with a face.
+    const size_t next =
+        i + 1 < tracked.size() ? static_cast<size_t>(tracked[i + 1]) : frames.size();
+    for (size_t k = static_cast<size_t>(f); k < next; ++k) fit.poses[k] = setup.pose_of(solved[i]);
+  }
+  return fit;
+}
+
+}  // namespace effigy

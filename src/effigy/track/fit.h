@@ -1,0 +1,58 @@
+// Fitting a rig to the landmarks of a video: one focal length and one identity for all frames, pose
+// and expression for each (Ceres).
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "effigy/geometry/types.h"
+#include "effigy/rig/rig.h"
+#include "effigy/track/face.h"
+
+namespace effigy {
+
+struct FitOptions {
+  int key_frames = 24;  // frames that decide focal length and identity
+  // Standard deviations of the model. Distances in the picture are relative to the distance between
+  // the outer corners of the eyes.
+  double landmark_sigma = 0.012;
+  double robust_at = 3.0;  // soft-L1 beyond this many sigmas
+  // Radians. The head turns on the neck; the root, which carries the shoulders, hardly turns from
+  // its median over the video.
+  double torso_sigma = 0.03, neck_sigma = 0.6;
+  double expression_sigma = 0.25;  // of its range, about the network's score (0 without one)
+  double log_focal_sigma = 0.35;   // about 2.2 times the picture's longer side
+  double smooth_translation = 0.0015, smooth_depth = 0.004;  // metres, to the neighbours' mean
+  double smooth_rotation = 0.006;                            // radians
+  double smooth_expression = 0.12;                           // of the range
+  bool hold_out = true;  // every fifth landmark stays unseen, for an honest error
+};
+
+struct FitResult {
+  double focal = 0;             // pixels of the frame; the principal point is its centre
+  std::vector<float> identity;  // rig.identity_count
+  std::vector<RigPose> poses;   // one a frame; untracked frames repeat their nearest neighbour
+  // Per frame, pixels of the frame, -1 when untracked: mean distance between network and projected
+  // rig over the inner 51 of the 68 landmarks, and over the landmarks that were kept out of the
+  // fit.
+  std::vector<double> error, heldout_error;
+  std::vector<int> key_frames;
+  int heldout_points = 0;
+};
+
+// The camera of the fit: at the origin, looking along -z of the world (y up).
+Camera fit_camera(double focal, int width, int height);
+
+// `width`, `height`: of the frames in which the landmarks were seen. Landmarks of frames with
+// found == false are not used. Throws Error when no frame has a face or the rig has fewer than 12
+// landmark points.
+FitResult fit_rig(const Rig& rig, const std::vector<FaceObservation>& frames, int width, int height,
+                  const FitOptions& options);
+
+// The network's scores as a starting guess for a rig's expression: matched by ARKit name ("_L" and
+// "_R" endings count as Left and Right; unsided scores serve both sides). 0 where nothing matches.
+// `matched[e]` tells which did, when not null.
+std::vector<float> expression_from_scores(const Rig& rig, const std::vector<float>& scores,
+                                          std::vector<bool>* matched = nullptr);
+
+}  // namespace effigy

@@ -1,0 +1,171 @@
+#include "effigy/track/fit_cost.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+namespace effigy {
+namespace {
+
+using RowMatrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+
+// The pixel of a world point in the camera at the origin that looks along -z, relative to the
+// principal point, and its derivative.
+Vec2d project(const Vec3d& p, double focal, Eigen::Matrix<double, 2, 3>* derivative) {
+  const double inverse = -1.0 / p.z();
+  const Vec2d pixel(focal * p.x() * inverse, -focal * p.y() * inverse);
+  if (derivative != nullptr) {
+    *derivative << focal * inverse, 0, pixel.x() * inverse,  //
+        0, -focal * inverse, pixel.y() * inverse;
+  }
+  return pixel;
+}
+
+}  // namespace
+
+FrameCost::FrameCost(const FitModel& model, const FrameTarget& target, double robust_at,
+                     double fixed_focal)
+    : model_(model),
+      target_(target),
+      robust_at_(robust_at),
+      fixed_focal_(fixed_focal),
+      shared_(model.identity_count() > 0) {
+  set_num_residuals(2 * model.point_count() + model.frame_size() + 3);
+  if (shared_) {
+    mutable_parameter_block_sizes()->push_back(1);
+    mutable_parameter_block_sizes()->push_back(model.identity_count());
+  }
+  mutable_parameter_block_sizes()->push_back(model.frame_size());
+}
+
+bool FrameCost::Evaluate(double const* const* parameters, double* residuals,
+                         double** jacobians) const {
+  const double* identity = shared_ ? parameters[1] : nullptr;
+  const double* frame = parameters[shared_ ? 2 : 0];
+  const double focal = shared_ ? std::exp(parameters[0][0]) : fixed_focal_;
+  double* d_focal = jacobians != nullptr && shared_ ? jacobians[0] : nullptr;
+  double* d_identity = jacobians != nullptr && shared_ ? jacobians[1] : nullptr;
+  double* d_frame = jacobians != nullptr ? jacobians[shared_ ? 2 : 0] : nullptr;
+  const int rows = num_residuals(), size = model_.frame_size();
+  const int points = model_.point_count();
+
+  thread_local FitModel::Result result;
+  model_.evaluate(identity, frame, d_frame != nullptr, d_identity != nullptr, result);
+  if (d_focal != nullptr) std::fill_n(d_focal, rows, 0.0);
+  if (d_identity != nullptr) std::fill_n(d_identity, rows * model_.identity_count(), 0.0);
+  if (d_frame != nullptr) std::fill_n(d_frame, static_cast<size_t>(rows) * size, 0.0);
+  Eigen::Map<RowMatrix> to_identity(d_identity, d_identity != nullptr ? rows : 0,
+                                    model_.identity_count());
+  Eigen::Map<RowMatrix> to_frame(d_frame, d_frame != nullptr ? rows : 0, size);
+
+  for (int i = 0; i < points; ++i) {
+    Eigen::Map<Vec2d> residual(residuals + 2 * i);
+    const double weight = target_.weight[i];
+    if (weight == 0) {
+      residual.setZero();
+      continue;
+    }
+    const Vec3d world = result.position.row(i).transpose();
+    if (!(world.z() < -1e-3)) return false;
+    Eigen::Matrix<double, 2, 3> d_pixel;
+    const Vec2d pixel = project(world, focal, jacobians != nullptr ? &d_pixel : nullptr);
+    const Vec2d raw = weight * (pixel - target_.seen[i]);
+    // Soft-L1: rho(s) = 2 d^2 (sqrt(1 + s / d^2) - 1) = s g(s)^2 with g = sqrt(2 / (1 + q)).
+    const double limit = robust_at_ * robust_at_;
+    const double q = std::sqrt(1.0 + raw.squaredNorm() / limit);
+    const double g = std::sqrt(2.0 / (1.0 + q));
+    residual = g * raw;
+    if (jacobians == nullptr) continue;
+    const double d_g = -g / (4.0 * (1.0 + q) * q * limit);  // dg / ds
+    const Eigen::Matrix2d robust =
+        weight * (g * Eigen::Matrix2d::Identity() + 2.0 * d_g * raw * raw.transpose());
+    const Eigen::Matrix<double, 2, 3> chain = robust * d_pixel;
+    if (d_focal != nullptr) {
+      const Vec2d change = robust * pixel;  // d pixel / d log focal = pixel
+      d_focal[2 * i] = change.x();
+      d_focal[2 * i + 1] = change.y();
+    }
+    if (d_identity != nullptr)
+      to_identity.middleRows<2>(2 * i) = chain.lazyProduct(result.d_identity.middleRows<3>(3 * i));
+    if (d_frame != nullptr)
+      to_frame.middleRows<2>(2 * i) = chain.lazyProduct(result.d_frame.middleRows<3>(3 * i));
+  }
+  const int prior = 2 * points;
+  for (int k = 0; k < size; ++k) {
+    residuals[prior + k] = target_.prior_weight[k] * (frame[k] - target_.prior_mean[k]);
+    if (d_frame != nullptr) to_frame(prior + k, k) = target_.prior_weight[k];
+  }
+  const int eyes = prior + size;
+  for (int c = 0; c < 3; ++c) {
+    residuals[eyes + c] = 0;
+    if (target_.eye_left < 0 || target_.eye_right < 0) continue;
+    const int left = model_.rotation_begin(target_.eye_left) + c;
+    const int right = model_.rotation_begin(target_.eye_right) + c;
+    residuals[eyes + c] = target_.eye_weight * (frame[left] - frame[right]);
+    if (d_frame != nullptr) {
+      to_frame(eyes + c, left) = target_.eye_weight;
+      to_frame(eyes + c, right) = -target_.eye_weight;
+    }
+  }
+  return true;
+}
+
+PriorCost::PriorCost(Eigen::VectorXd mean, Eigen::VectorXd weight)
+    : mean_(std::move(mean)), weight_(std::move(weight)) {
+  set_num_residuals(static_cast<int>(mean_.size()));
+  mutable_parameter_block_sizes()->push_back(static_cast<int>(mean_.size()));
+}
+
+bool PriorCost::Evaluate(double const* const* parameters, double* residuals,
+                         double** jacobians) const {
+  const int size = num_residuals();
+  for (int i = 0; i < size; ++i) residuals[i] = weight_[i] * (parameters[0][i] - mean_[i]);
+  if (jacobians != nullptr && jacobians[0] != nullptr)
+    for (int i = 0; i < size; ++i)
+      for (int k = 0; k < size; ++k) jacobians[0][i * size + k] = i == k ? weight_[i] : 0.0;
+  return true;
+}
+
+BoxManifold::BoxManifold(const Eigen::VectorXd& lower, const Eigen::VectorXd& upper)
+    : lower_(lower), upper_(upper), free_(static_cast<size_t>(lower.size())) {
+  std::iota(free_.begin(), free_.end(), 0);
+}
+
+void BoxManifold::hold(const Eigen::VectorXd& x, const Eigen::VectorXd& gradient) {
+  free_.clear();
+  for (int k = 0; k < AmbientSize(); ++k) {
+    const bool held =
+        (x[k] <= lower_[k] && gradient[k] > 0) || (x[k] >= upper_[k] && gradient[k] < 0);
+    if (!held) free_.push_back(k);
+  }
+}
+
+bool BoxManifold::Plus(const double* x, const double* delta, double* x_plus_delta) const {
+  std::copy_n(x, AmbientSize(), x_plus_delta);
+  for (size_t i = 0; i < free_.size(); ++i) {
+    const int k = free_[i];
+    x_plus_delta[k] = std::clamp(x[k] + delta[i], lower_[k], upper_[k]);
+  }
+  return true;
+}
+
+bool BoxManifold::PlusJacobian(const double*, double* jacobian) const {
+  Eigen::Map<RowMatrix> selection(jacobian, AmbientSize(), TangentSize());
+  selection.setZero();
+  for (size_t i = 0; i < free_.size(); ++i) selection(free_[i], static_cast<int>(i)) = 1;
+  return true;
+}
+
+bool BoxManifold::Minus(const double* y, const double* x, double* y_minus_x) const {
+  for (size_t i = 0; i < free_.size(); ++i) y_minus_x[i] = y[free_[i]] - x[free_[i]];
+  return true;
+}
+
+bool BoxManifold::MinusJacobian(const double*, double* jacobian) const {
+  Eigen::Map<RowMatrix> selection(jacobian, TangentSize(), AmbientSize());
+  selection.setZero();
+  for (size_t i = 0; i < free_.size(); ++i) selection(static_cast<int>(i), free_[i]) = 1;
+  return true;
+}
+
+}  // namespace effigy

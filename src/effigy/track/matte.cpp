@@ -1,0 +1,375 @@
+#include "effigy/track/matte.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "effigy/base/error.h"
+#include "effigy/base/simd.h"
+#include "effigy/image/resample.h"
+
+namespace effigy {
+namespace {
+
+constexpr int kSide = 256;
+
+// Running-sum box mean of a plane, window (2 r + 1)^2 cut at the border. `scale`: 1 / count of each
+// column.
+EFFIGY_CLONES void box_rows(const float* in, float* out, int width, int height, int radius,
+                            const float* scale) {
+  for (int y = 0; y < height; ++y) {
+    const float* row = in + static_cast<size_t>(y) * width;
+    float* result = out + static_cast<size_t>(y) * width;
+    double sum = 0;
+    for (int x = 0; x < std::min(radius, width); ++x) sum += row[x];
+    for (int x = 0; x < width; ++x) {
+      if (x + radius < width) sum += row[x + radius];
+      if (x - radius - 1 >= 0) sum -= row[x - radius - 1];
+      result[x] = static_cast<float>(sum);
+    }
+    for (int x = 0; x < width; ++x) result[x] *= scale[x];
+  }
+}
+
+EFFIGY_CLONES void box_columns(const float* in, float* out, int width, int height, int radius,
+                               float* sum) {
+  std::fill_n(sum, width, 0.0f);
+  for (int y = 0; y < std::min(radius, height); ++y)
+    for (int x = 0; x < width; ++x) sum[x] += in[static_cast<size_t>(y) * width + x];
+  for (int y = 0; y < height; ++y) {
+    if (y + radius < height) {
+      const float* row = in + static_cast<size_t>(y + radius) * width;
+      for (int x = 0; x < width; ++x) sum[x] += row[x];
+    }
+    if (y - radius - 1 >= 0) {
+      const float* row = in + static_cast<size_t>(y - radius - 1) * width;
+      for (int x = 0; x < width; ++x) sum[x] -= row[x];
+    }
+    const int count = std::min(y + radius, height - 1) - std::max(y - radius, 0) + 1;
+    const float scale = 1.0f / static_cast<float>(count);
+    float* result = out + static_cast<size_t>(y) * width;
+    for (int x = 0; x < width; ++x) result[x] = sum[x] * scale;
+  }
+}
+
+class BoxMean {
+ public:
+  BoxMean(int width, int height, int radius)
+      : width_(width),
+        height_(height),
+        radius_(radius),
+        rows_(static_cast<size_t>(width) * height),
+        sum_(width) {
+    for (int x = 0; x < width; ++x)
+      scale_.push_back(
+          1.0f / static_cast<float>(std::min(x + radius, width - 1) - std::max(x - radius, 0) + 1));
+  }
+  void operator()(const std::vector<float>& in, std::vector<float>& out) {
+    out.resize(in.size());
+    box_rows(in.data(), rows_.data(), width_, height_, radius_, scale_.data());
+    box_columns(rows_.data(), out.data(), width_, height_, radius_, sum_.data());
+  }
+
+ private:
+  int width_, height_, radius_;
+  std::vector<float> rows_, sum_, scale_;
+};
+
+EFFIGY_CLONES void multiply(const float* a, const float* b, float* out, size_t n) {
+  for (size_t i = 0; i < n; ++i) out[i] = a[i] * b[i];
+}
+
+// a = (Sigma + eps)^-1 cov, b = mean_p - a . mean_I, pixel by pixel (Cramer's rule).
+EFFIGY_CLONES void guided_coefficients(const float* const* mean, const float* const* second,
+                                       const float* const* cross, const float* mean_p, float eps,
+                                       float* const* a, float* b, size_t n) {
+  for (size_t i = 0; i < n; ++i) {
+    const float r = mean[0][i], g = mean[1][i], bl = mean[2][i];
+    const float rr = second[0][i] - r * r + eps, rg = second[1][i] - r * g;
+    const float rb = second[2][i] - r * bl, gg = second[3][i] - g * g + eps;
+    const float gb = second[4][i] - g * bl, bb = second[5][i] - bl * bl + eps;
+    const float cr = cross[0][i] - r * mean_p[i], cg = cross[1][i] - g * mean_p[i];
+    const float cb = cross[2][i] - bl * mean_p[i];
+    const float i00 = gg * bb - gb * gb, i01 = gb * rb - rg * bb, i02 = rg * gb - gg * rb;
+    const float i11 = rr * bb - rb * rb, i12 = rb * rg - rr * gb, i22 = rr * gg - rg * rg;
+    const float inverse = 1.0f / (rr * i00 + rg * i01 + rb * i02);
+    const float ar = (i00 * cr + i01 * cg + i02 * cb) * inverse;
+    const float ag = (i01 * cr + i11 * cg + i12 * cb) * inverse;
+    const float ab = (i02 * cr + i12 * cg + i22 * cb) * inverse;
+    a[0][i] = ar;
+    a[1][i] = ag;
+    a[2][i] = ab;
+    b[i] = mean_p[i] - ar * r - ag * g - ab * bl;
+  }
+}
+
+// Bilinear position of each target pixel in a source of another size.
+struct Taps {
+  std::vector<int> low, high;
+  std::vector<float> fraction;
+  Taps(int target, int source) {
+    for (int i = 0; i < target; ++i) {
+      const double x = std::clamp((i + 0.5) * source / target - 0.5, 0.0, source - 1.0);
+      const int floor = static_cast<int>(x);
+      low.push_back(floor);
+      high.push_back(std::min(floor + 1, source - 1));
+      fraction.push_back(static_cast<float>(x - floor));
+    }
+  }
+};
+
+// One output row: coefficients interpolated between two rows of the small planes (already blended
+// vertically into `row`, 4 interleaved), applied to the picture's colours.
+EFFIGY_CLONES void apply_row(const float* row, const int* low, const int* high,
+                             const float* fraction, const uint8_t* pixels, int width, float* out) {
+  for (int x = 0; x < width; ++x) {
+    const float *p = row + 4 * low[x], *q = row + 4 * high[x];
+    const float f = fraction[x];
+    float c[4];
+    for (int k = 0; k < 4; ++k) c[k] = p[k] + f * (q[k] - p[k]);
+    const float value =
+        (c[0] * static_cast<float>(pixels[3 * x]) + c[1] * static_cast<float>(pixels[3 * x + 1]) +
+         c[2] * static_cast<float>(pixels[3 * x + 2])) *
+            (1.0f / 255.0f) +
+        c[3];
+    out[x] = std::min(std::max(value, 0.0f), 1.0f);
+  }
+}
+
+}  // namespace
+
+PersonSegmenter::PersonSegmenter(const ModelSet& models)
+    : network_(
+          Network::from_tflite(models.matte, "the matte network " + models.matte_path.string())),
+      input_({1, kSide, kSide, 3}) {
+  if (network_.input_shapes() != std::vector<std::vector<int64_t>>{{1, kSide, kSide, 3}} ||
+      network_.output_shapes()[0] != std::vector<int64_t>{1, kSide, kSide, 1})
+    throw Error(network_.name() +
+                ": not the expected network (its input or output has another shape); replace it by "
+                "the published file.");
+}
+
+Image PersonSegmenter::segment(const Image8& picture) {
+  EFFIGY_CHECK_EQ(picture.channels, 3);
+  const Image8 small =
+      picture.width == kSide && picture.height == kSide
+          ? picture
+          : crop_resize(picture, 0, 0, picture.width, picture.height, kSide, kSide);
+  for (size_t i = 0; i < small.data.size(); ++i)
+    input_.data[i] = static_cast<float>(small.data[i]) * (1.0f / 255.0f);
+  Image matte(kSide, kSide, 1);
+  matte.data = network_.run({input_})[0].data;
+  for (float& value : matte.data)
+    value = std::isfinite(value) ? std::clamp(value, 0.0f, 1.0f) : 0.0f;
+  return matte;
+}
+
+PlaneSimilarity fit_similarity(const std::vector<double>& from, const std::vector<double>& to) {
+  EFFIGY_CHECK_EQ(from.size(), to.size());
+  const size_t n = from.size() / 2;
+  double fx = 0, fy = 0, tx = 0, ty = 0;
+  for (size_t i = 0; i < n; ++i) {
+    fx += from[2 * i];
+    fy += from[2 * i + 1];
+    tx += to[2 * i];
+    ty += to[2 * i + 1];
+  }
+  PlaneSimilarity result;
+  if (n == 0) return result;
+  const double count = static_cast<double>(n);
+  fx /= count;
+  fy /= count;
+  tx /= count;
+  ty /= count;
+  double dot = 0, cross = 0, square = 0;
+  for (size_t i = 0; i < n; ++i) {
+    const double x = from[2 * i] - fx, y = from[2 * i + 1] - fy;
+    const double s = to[2 * i] - tx, t = to[2 * i + 1] - ty;
+    dot += x * s + y * t;
+    cross += x * t - y * s;
+    square += x * x + y * y;
+  }
+  if (square > 0) {
+    result.a = dot / square;
+    result.b = cross / square;
+  }
+  result.u = tx - (result.a * fx - result.b * fy);
+  result.v = ty - (result.b * fx + result.a * fy);
+  return result;
+}
+
+Image steady_matte(const Image& here, const Image* before, const PlaneSimilarity& before_from_here,
+                   const Image* after, const PlaneSimilarity& after_from_here) {
+  Image out = here;
+  for (float& value : out.data) value *= 2.0f;
+  std::vector<float> weight(here.data.size(), 2.0f);
+  const auto add = [&](const Image* other, const PlaneSimilarity& map) {
+    if (other == nullptr) return;
+    EFFIGY_CHECK(other->width == here.width && other->height == here.height);
+    for (int y = 0; y < here.height; ++y)
+      for (int x = 0; x < here.width; ++x) {
+        const double px = x + 0.5, py = y + 0.5;
+        const double sx = map.a * px - map.b * py + map.u - 0.5;
+        const double sy = map.b * px + map.a * py + map.v - 0.5;
+        if (!(sx >= 0 && sy >= 0 && sx < here.width - 1 && sy < here.height - 1)) continue;
+        const int x0 = static_cast<int>(sx), y0 = static_cast<int>(sy);
+        const float fx = static_cast<float>(sx - x0), fy = static_cast<float>(sy - y0);
+        const float *p = other->at(x0, y0), *q = other->at(x0, y0 + 1);
+        const float value =
+            (p[0] + fx * (p[1] - p[0])) * (1 - fy) + (q[0] + fx * (q[1] - q[0])) * fy;
+        const size_t i = static_cast<size_t>(y) * here.width + x;
+        out.data[i] += value;
+        weight[i] += 1.0f;
+      }
+  };
+  add(before, before_from_here);
+  add(after, after_from_here);
+  for (size_t i = 0; i < out.data.size(); ++i) out.data[i] /= weight[i];
+  return out;
+}
+
+Image refine_matte(const Image8& picture, const Image& coarse, int working_side, double radius,
+                   double epsilon) {
+  EFFIGY_CHECK(picture.channels == 3 && coarse.channels == 1);
+  const int longer = std::max(picture.width, picture.height);
+  const double shrink = std::min(1.0, static_cast<double>(working_side) / longer);
+  const int width = std::max(1, static_cast<int>(std::lround(picture.width * shrink)));
+  const int height = std::max(1, static_cast<int>(std::lround(picture.height * shrink)));
+  const Image8 guide =
+      width == picture.width && height == picture.height
+          ? picture
+          : crop_resize(picture, 0, 0, picture.width, picture.height, width, height);
+  const Image matte =
+      coarse.width == width && coarse.height == height ? coarse : resize(coarse, width, height);
+  const size_t n = static_cast<size_t>(width) * height;
+  std::vector<float> colour[3];
+  for (int c = 0; c < 3; ++c) {
+    colour[c].resize(n);
+    for (size_t i = 0; i < n; ++i)
+      colour[c][i] = static_cast<float>(guide.data[3 * i + c]) * (1.0f / 255.0f);
+  }
+  BoxMean mean(width, height,
+               std::max(1, static_cast<int>(std::lround(radius * std::max(width, height)))));
+  std::vector<float> mean_colour[3], second[6], cross[3], mean_matte, product(n);
+  mean(matte.data, mean_matte);
+  int k = 0;
+  for (int c = 0; c < 3; ++c) {
+    mean(colour[c], mean_colour[c]);
+    multiply(colour[c].data(), matte.data.data(), product.data(), n);
+    mean(product, cross[c]);
+    for (int d = c; d < 3; ++d) {
+      multiply(colour[c].data(), colour[d].data(), product.data(), n);
+      mean(product, second[k++]);
+    }
+  }
+  std::vector<float> a[3] = {std::vector<float>(n), std::vector<float>(n), std::vector<float>(n)};
+  std::vector<float> b(n);
+  const float* means[3] = {mean_colour[0].data(), mean_colour[1].data(), mean_colour[2].data()};
+  const float* seconds[6] = {second[0].data(), second[1].data(), second[2].data(),
+                             second[3].data(), second[4].data(), second[5].data()};
+  const float* crosses[3] = {cross[0].data(), cross[1].data(), cross[2].data()};
+  float* results[3] = {a[0].data(), a[1].data(), a[2].data()};
+  guided_coefficients(means, seconds, crosses, mean_matte.data(), static_cast<float>(epsilon),
+                      results, b.data(), n);
+  std::vector<float> interleaved(4 * n);
+  std::vector<float> smooth;
+  for (int c = 0; c < 4; ++c) {
+    mean(c < 3 ? a[c] : b, smooth);
+    for (size_t i = 0; i < n; ++i) interleaved[4 * i + c] = smooth[i];
+  }
+  Image out(picture.width, picture.height, 1);
+  const Taps columns(picture.width, width), rows(picture.height, height);
+  std::vector<float> blended(4 * static_cast<size_t>(width));
+  for (int y = 0; y < picture.height; ++y) {
+    const float* p = interleaved.data() + 4 * static_cast<size_t>(rows.low[y]) * width;
+    const float* q = interleaved.data() + 4 * static_cast<size_t>(rows.high[y]) * width;
+    for (size_t i = 0; i < blended.size(); ++i)
+      blended[i] = p[i] + rows.fraction[y] * (q[i] - p[i]);
+    apply_row(blended.data(), columns.low.data(), columns.high.data(), columns.fraction.data(),
+              picture.at(0, y), picture.width, out.at(0, y));
+  }
+  return out;
+}
+
+namespace {
+
+// For each column the lowest point of the projected ring (its front), held at the ends.
+std::vector<double> neck_line(const std::vector<double>& ring, int width) {
+  std::vector<double> line(width, -1e30);
+  const size_t n = ring.size() / 2;
+  size_t leftmost = 0, rightmost = 0;
+  for (size_t i = 0; i < n; ++i) {
+    if (ring[2 * i] < ring[2 * leftmost]) leftmost = i;
+    if (ring[2 * i] > ring[2 * rightmost]) rightmost = i;
+    const size_t k = (i + 1) % n;
+    double x0 = ring[2 * i], y0 = ring[2 * i + 1], x1 = ring[2 * k], y1 = ring[2 * k + 1];
+    if (x1 < x0) {
+      std::swap(x0, x1);
+      std::swap(y0, y1);
+    }
+    const int first = std::max(0, static_cast<int>(std::ceil(x0 - 0.5)));
+    const int last = std::min(width - 1, static_cast<int>(std::floor(x1 - 0.5)));
+    for (int x = first; x <= last; ++x) {
+      const double t = x1 > x0 ? std::clamp((x + 0.5 - x0) / (x1 - x0), 0.0, 1.0) : 0.0;
+      line[x] = std::max(line[x], y0 + t * (y1 - y0));
+    }
+  }
+  for (int x = 0; x < width; ++x) {
+    if (x + 0.5 <= ring[2 * leftmost]) line[x] = ring[2 * leftmost + 1];
+    if (x + 0.5 >= ring[2 * rightmost]) line[x] = ring[2 * rightmost + 1];
+  }
+  return line;
+}
+
+// Marks what is connected with (x, y) through pixels of at least half coverage.
+std::vector<uint8_t> connected(const Image& matte, int x, int y) {
+  std::vector<uint8_t> inside(matte.data.size(), 0);
+  const int width = matte.width, height = matte.height;
+  std::vector<int> stack;
+  const auto visit = [&](int u, int v) {
+    if (u < 0 || v < 0 || u >= width || v >= height) return;
+    const size_t i = static_cast<size_t>(v) * width + u;
+    if (inside[i] != 0 || matte.data[i] < 0.5f) return;
+    inside[i] = 1;
+    stack.push_back(static_cast<int>(i));
+  };
+  visit(x, y);
+  while (!stack.empty()) {
+    const int i = stack.back();
+    stack.pop_back();
+    visit(i % width - 1, i / width);
+    visit(i % width + 1, i / width);
+    visit(i % width, i / width - 1);
+    visit(i % width, i / width + 1);
+  }
+  return inside;
+}
+
+}  // namespace
+
+Image8 head_matte(const Image& matte, const HeadRegion& region) {
+  EFFIGY_CHECK_EQ(matte.channels, 1);
+  Image cut = matte;
+  if (!region.neck_ring.empty()) {
+    const std::vector<double> line = neck_line(region.neck_ring, matte.width);
+    for (int y = 0; y < matte.height; ++y)
+      for (int x = 0; x < matte.width; ++x) {
+        const double t = std::clamp((line[x] - (y + 0.5)) / region.softness + 0.5, 0.0, 1.0);
+        *cut.at(x, y) *= static_cast<float>(t * t * (3 - 2 * t));
+      }
+  }
+  Image8 out(matte.width, matte.height, 1);
+  const int x = static_cast<int>(region.head_x), y = static_cast<int>(region.head_y);
+  const std::vector<uint8_t> inside = connected(cut, x, y);
+  // Soft pixels belong to what they border on: keep those within reach of a connected one.
+  const bool any = std::find(inside.begin(), inside.end(), 1) != inside.end();
+  const int reach = std::max(2, std::max(matte.width, matte.height) / 64);
+  std::vector<float> near(inside.begin(), inside.end()), spread;
+  if (any) BoxMean(matte.width, matte.height, reach)(near, spread);
+  for (size_t i = 0; i < out.data.size(); ++i) {
+    const bool keep = !any || spread[i] > 1e-6f;
+    out.data[i] = keep ? static_cast<uint8_t>(std::lround(255.0f * cut.data[i])) : 0;
+  }
+  return out;
+}
+
+}  // namespace effigy
