@@ -266,8 +266,8 @@ TEST_F(IctEmbedding, AgreesWithThe68) {
     const Vec3f own(landmarks.data() + 3 * static_cast<size_t>(i));
     const float distance =
         (own - point(rest, mediapipe_of_multipie()[static_cast<size_t>(i)])).norm();
-    // The two sets divide the lips a little differently; the jaw line has no fixed points at all.
-    EXPECT_LT(distance, i < 17 ? 7e-3f : i < 48 ? 2.5e-3f : 3.5e-3f) << i;
+    // The two sets divide brows and lips a little differently; the jaw line has no fixed points.
+    EXPECT_LT(distance, i < 17 ? 7e-3f : i < 27 ? 4.5e-3f : i < 48 ? 2.5e-3f : 3.5e-3f) << i;
   }
 }
 

@@ -268,9 +268,10 @@ LandmarkEmbedding embed_canonical(const Rig& rig, const CanonicalFace& face) {
   std::vector<Pair> pairs;
   for (size_t i = 0; i < rim.size(); ++i)
     if (rim[i].triangle >= 0) pairs.push_back({points[i], rim[i].position, 0});
-  // Brow points and the jaw line are drawn by people and networks alike with some freedom.
+  // Brow points and the jaw line are marked with some freedom, and differently by people and by the
+  // network: there the canonical face's own proportions are the better guide.
   for (size_t i = 0; i < static_cast<size_t>(kFirstLid); ++i) {
-    const double slack = i < kFirstBrow ? 0.05 : i < kFirstNose ? 0.004 : 0.002;
+    const double slack = i < kFirstBrow ? 0.05 : i < kFirstNose ? 0.2 : 0.015;
     pairs.push_back(
         {points[static_cast<size_t>(mediapipe_of_multipie()[i])], landmarks[i].position, slack});
   }
