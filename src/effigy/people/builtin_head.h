@@ -1,6 +1,6 @@
 // The plain built-in head: a closed mesh made by code with UV atlas, neck, jaw and eye joints,
-// expression shapes with ARKit names, landmark embeddings and painted materials, so that the program
-// is whole without any download.
+// expression shapes with ARKit names, landmark embeddings and painted materials, so that the
+// program is whole without any download.
 #pragma once
 
 #include <string>
