@@ -68,7 +68,9 @@ Vec3d jaw_turn(const Site& s, double angle) {
   return s.jaw * Vec3d(0, c * q.y() - n * q.z(), n * q.y() + c * q.z());
 }
 Vec3d jaw_open(const Site& s) {
-  Vec3d d = jaw_turn(s, kFullOpening);
+  // The lips part a little more than the teeth.
+  Vec3d d = jaw_turn(s, kFullOpening) +
+            arch(s) * mouth(s) * (lower(s) * Vec3d(0, -3, -1) + upper(s) * Vec3d(0, 1.5, 0));
   d += corner({s.p.cwiseAbs(), s.vertex, true, s.jaw, s.lower}, {-2.5, 0, -1})
            .cwiseProduct(Vec3d(s.p.x() < 0 ? -1 : 1, 1, 1));
   return d;
@@ -108,9 +110,8 @@ class Lids {
     const Vec3d eye(kEyeX, kEyeY, kEyeZ);
     Vec3d target = s.p + weight * (meeting - rim_[i]);
     // Stay on the ball: the way there is straight, so its end lies further out than its middle.
-    const double bulge = v.ring < 0 ? 0.9 : v.ring == 0 ? 1.3 : 1.5;
-    const double least = (s.p - eye).norm() * (v.ring <= 1 ? 1.0 : 0.0) + bulge * std::abs(weight);
-    const double floor = v.ring <= 1 ? least : 13.6;
+    const double closed = v.ring < -1 ? 12.8 : v.ring < 0 ? 13.6 : v.ring <= 1 ? 14.3 : 13.9;
+    const double floor = mix((s.p - eye).norm(), closed, std::min(1.0, std::abs(weight)));
     const double radius = (target - eye).norm();
     if (radius < floor) target = eye + (target - eye) * (floor / radius);
     return target - s.p;

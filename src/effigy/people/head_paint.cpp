@@ -71,9 +71,10 @@ Paint skin(const Place& place, double texel) {
   const double stubble = jaw * (1 - place.lip) * (0.75 + 0.5 * fine);
   c = c.cwiseProduct(Vec3d(1 - 0.20 * stubble, 1 - 0.15 * stubble, 1 - 0.08 * stubble));
   // Freckles over nose and cheeks, few.
-  const double freckle = smooth_step(0.46, 0.62, noise(place.p / 2.3 + Vec3d(17, 3, 5))) *
-                         bump(p, {24, -26, 84}, {34, 20, 34});
-  c = c.cwiseProduct(Vec3d(1 - 0.22 * freckle, 1 - 0.30 * freckle, 1 - 0.34 * freckle));
+  const double freckle =
+      smooth_step(0.50, 0.75, noise(place.p / 1.25 + Vec3d(17, 3, 5)) + 0.15 * noise(place.p / 7)) *
+      bump(p, {24, -26, 84}, {34, 20, 34});
+  c = c.cwiseProduct(Vec3d(1 - 0.13 * freckle, 1 - 0.20 * freckle, 1 - 0.24 * freckle));
   c *= 1 + 0.05 * mottle + 0.035 * fine;
 
   const double oily =
@@ -96,7 +97,7 @@ Paint skin(const Place& place, double texel) {
 void lips(const Place& place, Paint& out) {
   const double cover = smooth_step(0.30, 0.62, place.lip + 0.06 * noise(place.p / 1.7));
   const double wrinkle = strands(place.p, {0, 1, 0.2}, 1.1, 5);
-  const Vec3d red = Vec3d(0.40, 0.145, 0.125) * (1 + 0.10 * wrinkle);
+  const Vec3d red = Vec3d(0.40, 0.180, 0.150) * (1 + 0.10 * wrinkle);
   out.albedo = blend(out.albedo, red, 0.88 * cover);
   out.roughness = mix(out.roughness, 0.34, cover);
   out.specular = mix(out.specular, 0.034, cover);
@@ -107,11 +108,12 @@ void hair(const Place& place, Paint& out) {
   const Vec3d p = left(place);
   const double ragged = 5.0 * noise(place.p / 3.1) + 3.0 * noise(place.p / 1.4);
   const double cap = place.ear > 0.02 ? 0.0 : hair_cover(Vec3d(p.x(), p.y() + ragged, p.z()), 9);
-  // Combed from the crown outwards.
-  const Vec3d away = place.p - Vec3d(8, 112, -30);
-  const Vec3d normal = (place.p - Vec3d(0, 20, -10)).normalized();
-  const Vec3d flow = away - normal * normal.dot(away) + Vec3d(0.3, 0, 0.1);
-  const double streak = strands(place.p, flow, 1.5, 9);
+  // Combed from a whorl behind the crown: streaks run along meridians about it.
+  const Vec3d away = place.p - Vec3d(10, 20, -25);
+  const double around = std::atan2(away.x(), away.z() + 0.25 * away.y());
+  const double down = std::atan2(std::hypot(away.x(), away.z()), away.y());
+  const double streak = cloud(Vec3d(46 * std::cos(around), 46 * std::sin(around), 7 * down) +
+                              0.25 * Vec3d::Constant(cloud(place.p / 12)));
   const Vec3d brown = Vec3d(0.060, 0.036, 0.022) * (1 + 0.55 * streak);
   const double cover = smooth_step(0.25, 0.75, cap + 0.12 * streak);
   out.albedo = blend(out.albedo, brown, 0.97 * cover);
@@ -119,9 +121,9 @@ void hair(const Place& place, Paint& out) {
   out.specular = mix(out.specular, 0.045, cover);
   out.height = mix(out.height, 0.28 * streak, cover);
 
-  const double slope = smooth_step(8, 50, p.x());
-  const double stroke =
-      strands(Vec3d(p.x(), p.y(), 0), {mix(0.35, 1, slope), mix(1, -0.25, slope), 0}, 0.8, 5);
+  const double upright = strands(Vec3d(p.x(), p.y(), 0), {0.45, 1, 0}, 0.8, 5);
+  const double lying = strands(Vec3d(p.x(), p.y(), 0), {1, -0.1, 0}, 0.8, 5);
+  const double stroke = mix(upright, lying, smooth_step(12, 32, p.x()));
   const double brow = smooth_step(0.28, 0.72, brow_cover(p) * (0.80 + 0.55 * stroke));
   out.albedo = blend(out.albedo, Vec3d(0.075, 0.045, 0.030), 0.85 * brow);
   out.roughness = mix(out.roughness, 0.58, brow);

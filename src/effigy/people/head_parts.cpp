@@ -70,9 +70,9 @@ void add_eyeball(Half& half) {
   std::vector<int> previous;
   for (size_t ring = 0; ring < kAngles.size(); ++ring) {
     const double angle = kAngles[ring] * kPi / 180;
-    // The cornea stands out by 0.6 mm.
+    // The cornea stands out by 0.35 mm.
     const double cornea = std::max(0.0, 1 - std::pow(kAngles[ring] / 29.4, 2));
-    const double radius = kEyeRadius + 0.6 * cornea;
+    const double radius = kEyeRadius + 0.35 * cornea;
     std::vector<int> current;
     for (int i = 0; i < (ring == 0 ? 1 : kSegments); ++i) {
       const double turn = -2 * kPi * i / kSegments;  // clockwise seen from the front
@@ -92,8 +92,8 @@ void add_eyeball(Half& half) {
 }
 
 void add_teeth(Half& half) {
-  add_arch(half, Region::kUpperTeeth, -61, -73.2, 85.5, 3, {0.902, 0.052}, {0.988, 0.012});
-  add_arch(half, Region::kLowerTeeth, -86, -74.2, 83.0, 3, {0.902, 0.058}, {0.988, 0.094});
+  add_arch(half, Region::kUpperTeeth, -61, -74.2, 85.5, 3, {0.902, 0.052}, {0.988, 0.012});
+  add_arch(half, Region::kLowerTeeth, -87, -75.0, 82.6, 3, {0.902, 0.058}, {0.988, 0.094});
 }
 
 void add_tongue(Half& half) {

@@ -104,7 +104,7 @@ Loop eye_outer(int ring) {
     const double upper = i <= kEyeLoop / 2 ? std::sin(kPi * i / (kEyeLoop / 2)) : 0.0;
     if (ring == 0) p += 0.25 * (eye - p).normalized();
     if (ring == 1) p -= 0.25 * (eye - p).normalized();
-    if (ring == 2) p += 1.3 * upper * (eye - p).normalized();  // crease of the upper lid
+    if (ring == 2) p += 1.0 * upper * (eye - p).normalized();  // crease of the upper lid
     if (ring == 3) p -= 0.8 * upper * (eye - p).normalized();
     loop.points.push_back(p);
   }
