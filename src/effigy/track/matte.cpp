@@ -346,6 +346,30 @@ std::vector<uint8_t> connected(const Image& matte, int x, int y) {
 
 }  // namespace
 
+// Shoulders that stick out sideways above the ring belong to no head: from a little above the ring
+// downwards only what lies between its left and right ends stays.
+static void cut_shoulders(const HeadRegion& region, Image& cut) {
+  double left = 1e9, right = -1e9, top = 1e9;
+  for (size_t k = 0; k + 1 < region.neck_ring.size(); k += 2) {
+    left = std::min(left, region.neck_ring[k]);
+    right = std::max(right, region.neck_ring[k]);
+    top = std::min(top, region.neck_ring[k + 1]);
+  }
+  const double start = top - 0.3 * (right - left);
+  const auto rise = [&](double distance) {
+    const double t = std::clamp(distance / region.softness + 0.5, 0.0, 1.0);
+    return t * t * (3 - 2 * t);
+  };
+  for (int y = 0; y < cut.height; ++y) {
+    const double below = rise(y + 0.5 - start);
+    if (below <= 0) continue;
+    for (int x = 0; x < cut.width; ++x) {
+      const double between = rise(x + 0.5 - left) * rise(right - (x + 0.5));
+      *cut.at(x, y) *= static_cast<float>(1 - below * (1 - between));
+    }
+  }
+}
+
 Image8 head_matte(const Image& matte, const HeadRegion& region) {
   EFFIGY_CHECK_EQ(matte.channels, 1);
   Image cut = matte;
@@ -356,6 +380,7 @@ Image8 head_matte(const Image& matte, const HeadRegion& region) {
         const double t = std::clamp((line[x] - (y + 0.5)) / region.softness + 0.5, 0.0, 1.0);
         *cut.at(x, y) *= static_cast<float>(t * t * (3 - 2 * t));
       }
+    cut_shoulders(region, cut);
   }
   Image8 out(matte.width, matte.height, 1);
   const int x = static_cast<int>(region.head_x), y = static_cast<int>(region.head_y);

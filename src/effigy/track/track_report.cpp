@@ -27,9 +27,6 @@ Image8 overlay(const Capture& capture, const RigShape& shape, int frame, Image8 
     const bool skin = mesh.triangle_part.empty() || mesh.parts[mesh.triangle_part[t]] == "skin";
     for (int k = 0; skin && k < 3; ++k) triangles.push_back(mesh.triangles[t][k]);
   }
-  // Counter-clockwise triangles seen from outside run clockwise in a picture whose y points down.
-  for (size_t t = 0; t + 2 < triangles.size(); t += 3)
-    std::swap(triangles[t + 1], triangles[t + 2]);
   draw_triangle_wireframe(picture, projected, triangles, {{90, 220, 140}, 0.45f, 0.8f});
   for (int l = 0; l < capture.landmark_count; ++l) {
     const float* p =
