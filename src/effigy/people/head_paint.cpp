@@ -117,8 +117,8 @@ void hair(const Place& place, Paint& out) {
   const Vec3d brown = Vec3d(0.060, 0.036, 0.022) * (1 + 0.55 * streak);
   const double cover = smooth_step(0.25, 0.75, cap + 0.12 * streak);
   out.albedo = blend(out.albedo, brown, 0.97 * cover);
-  out.roughness = mix(out.roughness, 0.50 + 0.06 * streak, cover);
-  out.specular = mix(out.specular, 0.045, cover);
+  out.roughness = mix(out.roughness, 0.62 + 0.06 * streak, cover);
+  out.specular = mix(out.specular, 0.034, cover);
   out.height = mix(out.height, 0.28 * streak, cover);
 
   const double upright = strands(Vec3d(p.x(), p.y(), 0), {0.45, 1, 0}, 0.8, 5);
@@ -138,8 +138,8 @@ Paint eye(const Place& place) {
   const double turn = std::atan2(q.y(), q.x());
   const double vein = smooth_step(0.25, 0.6, std::abs(cloud(q / 1.7))) * smooth_step(34, 62, angle);
   const Vec3d white =
-      Vec3d(0.66, 0.62, 0.58).cwiseProduct(Vec3d(1, 1 - 0.16 * vein, 1 - 0.18 * vein)) *
-      (1 - 0.25 * smooth_step(45, 85, angle));
+      Vec3d(0.56, 0.53, 0.50).cwiseProduct(Vec3d(1, 1 - 0.16 * vein, 1 - 0.18 * vein)) *
+      (1 - 0.45 * smooth_step(38, 75, angle));
   const double ray = cloud(Vec3d(9 * std::cos(turn), 9 * std::sin(turn), 0.12 * angle));
   Vec3d iris = blend(Vec3d(0.19, 0.115, 0.045), Vec3d(0.10, 0.13, 0.115),
                      smooth_step(13, 24, angle + 3 * ray));
@@ -159,20 +159,22 @@ Paint teeth(const Place& place) {
   Vec3d c(0.66, 0.60, 0.49);
   c = c.cwiseProduct(Vec3d(1 - 0.28 * line, 1 - 0.36 * line, 1 - 0.42 * line));
   const double gum = smooth_step(0.62, 0.80, place.gum + 0.10 * std::cos(2 * kPi * place.along));
-  out.albedo = blend(c, Vec3d(0.42, 0.155, 0.135), gum);
-  out.roughness = mix(0.18, 0.32, gum);
-  out.specular = 0.045;
+  // Little light reaches the back of the mouth; shading knows no occlusion, so the paint does.
+  const double depth = smooth_step(82, 56, place.p.z());
+  out.albedo = blend(c, Vec3d(0.36, 0.13, 0.115), gum) * mix(0.85, 0.16, depth);
+  out.roughness = mix(mix(0.22, 0.34, gum), 0.8, depth);
+  out.specular = mix(0.04, 0.02, depth);
   out.height = -0.15 * line;
   return out;
 }
 
 Paint mouth(const Place& place) {
   Paint out;
-  const double depth = smooth_step(86, 50, place.p.z());
-  out.albedo = blend(Vec3d(0.36, 0.13, 0.12), Vec3d(0.16, 0.045, 0.04), depth) *
+  const double depth = smooth_step(88, 58, place.p.z());
+  out.albedo = blend(Vec3d(0.22, 0.075, 0.065), Vec3d(0.035, 0.012, 0.011), depth) *
                (1 + 0.08 * cloud(place.p / 3));
-  out.roughness = 0.34;
-  out.specular = 0.034;
+  out.roughness = mix(0.45, 0.9, depth);
+  out.specular = mix(0.028, 0.02, depth);
   return out;
 }
 

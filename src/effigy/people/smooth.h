@@ -8,7 +8,7 @@
 
 namespace effigy::people {
 
-// 0 below a, 1 above b, smooth between (a < b).
+// 0 at a and before it, 1 at b and beyond, smooth between; a and b in either order.
 inline double smooth_step(double a, double b, double x) {
   const double t = std::clamp((x - a) / (b - a), 0.0, 1.0);
   return t * t * (3 - 2 * t);
