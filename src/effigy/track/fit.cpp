@@ -11,22 +11,21 @@
 #include "effigy/base/log.h"
 #include "effigy/base/progress.h"
 #include "effigy/base/threads.h"
+#include "effigy/track/fit_box.h"
 #include "effigy/track/fit_setup.h"
 
 namespace effigy {
 namespace {
 
-// Ceres runs in rounds; between them it is decided anew which parameters rest on their limits.
-constexpr int kSharedRounds = 12, kSharedIterations = 4, kFrameIterations = 3;
-constexpr double kSharedTolerance = 2e-3, kFrameTolerance = 5e-3;
+constexpr int kSharedRounds = 8, kSharedIterations = 4, kKeySteps = 6, kFirstKeySteps = 15;
+constexpr double kSharedTolerance = 2e-3, kFrameTolerance = 3e-3;
 constexpr int kChunk = 40;  // frames that follow each other; fixed, so that threads change nothing
 
-ceres::Solver::Options solver_options(int iterations) {
+ceres::Solver::Options shared_options() {
   ceres::Solver::Options options;
-  options.max_num_iterations = iterations;
+  options.linear_solver_type = ceres::DENSE_SCHUR;
+  options.max_num_iterations = kSharedIterations;
   options.function_tolerance = 1e-4;
-  options.gradient_tolerance = 1e-8;
-  options.parameter_tolerance = 1e-6;
   options.logging_type = ceres::SILENT;
   options.num_threads = 1;
   return options;
@@ -40,15 +39,22 @@ ceres::Problem::Options borrowing() {
 }
 
 // Gradient of the cost with respect to the last of its parameter blocks.
-Eigen::VectorXd frame_gradient(const FrameCost& cost, const double* const* blocks, int count,
+Eigen::VectorXd frame_gradient(const FrameCost& cost, const std::vector<double*>& blocks,
                                Eigen::Index size) {
   Eigen::VectorXd residuals(cost.num_residuals());
   FitModel::Matrix jacobian(cost.num_residuals(), size);
-  std::vector<double*> jacobians(static_cast<size_t>(count), nullptr);
+  std::vector<double*> jacobians(blocks.size(), nullptr);
   jacobians.back() = jacobian.data();
-  if (!cost.Evaluate(blocks, residuals.data(), jacobians.data()))
+  if (!cost.Evaluate(blocks.data(), residuals.data(), jacobians.data()))
     return Eigen::VectorXd::Zero(size);
   return jacobian.transpose() * residuals;
+}
+
+// One frame with everything shared fixed; `frame` is guess and result.
+void solve_frame(const FitModel& model, const FrameTarget& target, double focal,
+                 const FitOptions& options, int steps, Eigen::VectorXd& frame) {
+  const FrameCost cost(model, target, options.robust_at, focal);
+  minimise_in_box(cost, target.lower, target.upper, steps, kFrameTolerance, frame);
 }
 
 // Focal length and identity, together with the pose and expression of the key frames.
@@ -57,87 +63,81 @@ struct Shared {
   Eigen::VectorXd identity;
 };
 
+// The key frames' own parameters at their best for the present focal length and identity.
+void solve_key_frames(const FitModel& model, const Shared& shared, const FitOptions& options,
+                      const std::vector<FrameTarget>& targets, int steps,
+                      std::vector<Eigen::VectorXd>& frames) {
+  const FitModel baked = model.with_identity(shared.identity.data());
+  parallel_for(frames.size(), 1, [&](size_t begin, size_t end, int) {
+    for (size_t k = begin; k < end; ++k)
+      solve_frame(baked, targets[k], shared.focal, options, steps, frames[k]);
+  });
+}
+
+// One Ceres problem over everything, each frame's parameters that rest on their limits held.
+// Returns the share of the cost that was gained.
+double solve_jointly(const FitModel& model, const Rig& rig, double typical_focal,
+                     const FitOptions& options, const std::vector<FrameTarget>& targets,
+                     std::vector<Eigen::VectorXd>& frames, Shared& shared) {
+  ceres::Problem problem(borrowing());
+  ceres::Solver::Options solver = shared_options();
+  solver.linear_solver_ordering = std::make_shared<ceres::ParameterBlockOrdering>();
+  std::vector<std::unique_ptr<ceres::CostFunction>> costs;
+  std::vector<std::unique_ptr<BoxManifold>> boxes;
+  double log_focal = std::log(shared.focal);
+  const int identities = model.identity_count();
+  for (size_t k = 0; k < frames.size(); ++k) {
+    auto cost = std::make_unique<FrameCost>(model, targets[k], options.robust_at, 0);
+    std::vector<double*> blocks = {&log_focal, frames[k].data()};
+    if (identities > 0) blocks.insert(blocks.begin() + 1, shared.identity.data());
+    boxes.push_back(std::make_unique<BoxManifold>(targets[k].lower, targets[k].upper));
+    boxes[k]->hold(frames[k], frame_gradient(*cost, blocks, frames[k].size()));
+    problem.AddResidualBlock(cost.get(), nullptr, blocks);
+    problem.SetManifold(frames[k].data(), boxes[k].get());
+    solver.linear_solver_ordering->AddElementToGroup(frames[k].data(), 0);
+    costs.push_back(std::move(cost));
+  }
+  const auto add_prior = [&](double* block, Eigen::VectorXd mean, Eigen::VectorXd weight) {
+    costs.push_back(std::make_unique<PriorCost>(std::move(mean), std::move(weight)));
+    problem.AddResidualBlock(costs.back().get(), nullptr, block);
+    solver.linear_solver_ordering->AddElementToGroup(block, 1);
+  };
+  add_prior(&log_focal, Eigen::VectorXd::Constant(1, std::log(typical_focal)),
+            Eigen::VectorXd::Constant(1, 1.0 / options.log_focal_sigma));
+  if (identities > 0) {
+    Eigen::VectorXd weight(identities);
+    for (int i = 0; i < identities; ++i) weight[i] = 1.0 / std::max(rig.identity_sigma[i], 1e-6f);
+    add_prior(shared.identity.data(), Eigen::VectorXd::Zero(identities), weight);
+  }
+  ceres::Solver::Summary summary;
+  ceres::Solve(solver, &problem, &summary);
+  log_debug("fit: " + summary.BriefReport());
+  if (!summary.IsSolutionUsable())
+    throw Error("The rig could not be fitted to the face in this video (" + summary.message +
+                "); check that the video shows one face, upright and not mirrored by effects.");
+  shared.focal = std::exp(log_focal);
+  return (summary.initial_cost - summary.final_cost) / std::max(summary.initial_cost, 1e-12);
+}
+
 Shared solve_shared(const FitSetup& setup, const Rig& rig, const std::vector<int>& keys,
                     const FitOptions& options) {
   const FitModel& model = setup.model();
-  double log_focal = std::log(setup.typical_focal());
-  Eigen::VectorXd identity = Eigen::VectorXd::Zero(std::max(model.identity_count(), 1));
+  Shared shared{setup.typical_focal(), Eigen::VectorXd::Zero(model.identity_count())};
   std::vector<FrameTarget> targets;
   std::vector<Eigen::VectorXd> frames;
   for (const int f : keys) {
     targets.push_back(setup.target(f));
-    frames.push_back(setup.first_guess(f, model, setup.typical_focal()));
+    frames.push_back(setup.first_guess(f, model, shared.focal));
   }
-  if (model.identity_count() == 0)
-    return {setup.typical_focal(), Eigen::VectorXd()};  // nothing is shared but the guess
-
-  for (size_t k = 0; k < keys.size(); ++k)
-    frames[k] = frames[k].cwiseMax(targets[k].lower).cwiseMin(targets[k].upper);
-  // Identity counts once a frame in the data; its prior must not vanish beside many frames.
-  Eigen::VectorXd identity_weight(model.identity_count());
-  for (int i = 0; i < model.identity_count(); ++i)
-    identity_weight[i] = 1.0 / std::max(rig.identity_sigma[i], 1e-6f);
-  PriorCost identity_prior(Eigen::VectorXd::Zero(model.identity_count()), identity_weight);
-  PriorCost focal_prior(Eigen::VectorXd::Constant(1, std::log(setup.typical_focal())),
-                        Eigen::VectorXd::Constant(1, 1.0 / options.log_focal_sigma));
-  double last = 0;
   for (int round = 0; round < kSharedRounds; ++round) {
     throw_if_interrupted();
-    ceres::Problem problem(borrowing());
-    ceres::Solver::Options solver = solver_options(kSharedIterations);
-    solver.linear_solver_type = ceres::DENSE_SCHUR;
-    solver.linear_solver_ordering = std::make_shared<ceres::ParameterBlockOrdering>();
-    std::vector<std::unique_ptr<FrameCost>> costs;
-    std::vector<std::unique_ptr<BoxManifold>> boxes;
-    for (size_t k = 0; k < keys.size(); ++k) {
-      costs.push_back(std::make_unique<FrameCost>(model, targets[k], options.robust_at, 0));
-      boxes.push_back(std::make_unique<BoxManifold>(targets[k].lower, targets[k].upper));
-      const double* blocks[3] = {&log_focal, identity.data(), frames[k].data()};
-      boxes[k]->hold(frames[k], frame_gradient(*costs[k], blocks, 3, frames[k].size()));
-      problem.AddResidualBlock(costs[k].get(), nullptr, &log_focal, identity.data(),
-                               frames[k].data());
-      problem.SetManifold(frames[k].data(), boxes[k].get());
-      solver.linear_solver_ordering->AddElementToGroup(frames[k].data(), 0);
-    }
-    solver.linear_solver_ordering->AddElementToGroup(&log_focal, 1);
-    solver.linear_solver_ordering->AddElementToGroup(identity.data(), 1);
-    problem.AddResidualBlock(&identity_prior, nullptr, identity.data());
-    problem.AddResidualBlock(&focal_prior, nullptr, &log_focal);
-    ceres::Solver::Summary summary;
-    ceres::Solve(solver, &problem, &summary);
-    log_debug("fit: " + summary.BriefReport());
-    if (!summary.IsSolutionUsable())
-      throw Error("The rig could not be fitted to the face in this video (" + summary.message +
-                  "); check that the video shows one face, upright and not mirrored by effects.");
-    if (round > 0 && last - summary.final_cost < kSharedTolerance * last) break;
-    last = summary.final_cost;
-  }
-  return {std::exp(log_focal), identity};
-}
-
-// One frame with everything shared fixed; `frame` is guess and result.
-void solve_frame(const FitModel& model, const FrameTarget& target, double focal,
-                 const FitOptions& options, int rounds, Eigen::VectorXd& frame) {
-  const Eigen::VectorXd before = frame;
-  frame = frame.cwiseMax(target.lower).cwiseMin(target.upper);
-  FrameCost cost(model, target, options.robust_at, focal);
-  BoxManifold box(target.lower, target.upper);
-  for (int round = 0; round < rounds; ++round) {
-    const double* blocks[1] = {frame.data()};
-    box.hold(frame, frame_gradient(cost, blocks, 1, frame.size()));
-    ceres::Problem problem(borrowing());
-    problem.AddResidualBlock(&cost, nullptr, frame.data());
-    problem.SetManifold(frame.data(), &box);
-    ceres::Solver::Options solver = solver_options(kFrameIterations);
-    solver.linear_solver_type = ceres::DENSE_NORMAL_CHOLESKY;
-    ceres::Solver::Summary summary;
-    ceres::Solve(solver, &problem, &summary);
-    if (!summary.IsSolutionUsable() || !frame.allFinite()) {
-      frame = before;
+    solve_key_frames(model, shared, options, targets, round == 0 ? kFirstKeySteps : kKeySteps,
+                     frames);
+    if (solve_jointly(model, rig, setup.typical_focal(), options, targets, frames, shared) <
+        kSharedTolerance)
       break;
-    }
-    if (summary.initial_cost - summary.final_cost < kFrameTolerance * summary.initial_cost) break;
   }
+  return shared;
 }
 
 // Pulls `target` towards `mean` as well, with 1 / sigma = `weight`.
@@ -168,7 +168,7 @@ std::vector<Eigen::VectorXd> solve_frames(const FitSetup& setup, const FitModel&
         targets[i] = setup.target(tracked[i]);
         const bool follows = i > chunk * kChunk && tracked[i] == tracked[i - 1] + 1;
         frames[i] = follows ? frames[i - 1] : setup.first_guess(tracked[i], model, focal);
-        solve_frame(model, targets[i], focal, options, follows ? 3 : 8, frames[i]);
+        solve_frame(model, targets[i], focal, options, follows ? 4 : 15, frames[i]);
       }
     }
   });

@@ -21,7 +21,8 @@ struct FitOptions {
   // its median over the video.
   double torso_sigma = 0.03, neck_sigma = 0.6;
   double expression_sigma = 0.25;  // of its range, about the network's score (0 without one)
-  double log_focal_sigma = 0.35;   // about 2.2 times the picture's longer side
+  double distance = 1.0;          // metres from camera to face, typically: decides the focal length
+  double log_focal_sigma = 0.05;  // about the focal length that belongs to that distance
   double smooth_translation = 0.0015, smooth_depth = 0.004;  // metres, to the neighbours' mean
   double smooth_rotation = 0.006;                            // radians
   double smooth_expression = 0.12;                           // of the range

@@ -4,6 +4,8 @@
 #include <cmath>
 #include <numeric>
 
+#include "effigy/base/error.h"
+
 namespace effigy {
 namespace {
 
@@ -25,27 +27,29 @@ Vec2d project(const Vec3d& p, double focal, Eigen::Matrix<double, 2, 3>* derivat
 
 FrameCost::FrameCost(const FitModel& model, const FrameTarget& target, double robust_at,
                      double fixed_focal)
-    : model_(model),
-      target_(target),
-      robust_at_(robust_at),
-      fixed_focal_(fixed_focal),
-      shared_(model.identity_count() > 0) {
+    : model_(model), target_(target), robust_at_(robust_at), fixed_focal_(fixed_focal) {
   set_num_residuals(2 * model.point_count() + model.frame_size() + 3);
-  if (shared_) {
+  if (fixed_focal <= 0) {
     mutable_parameter_block_sizes()->push_back(1);
-    mutable_parameter_block_sizes()->push_back(model.identity_count());
+    if (model.identity_count() > 0) {
+      identity_block_ = 1;
+      mutable_parameter_block_sizes()->push_back(model.identity_count());
+    }
+    frame_block_ = identity_block_ < 0 ? 1 : 2;
   }
+  EFFIGY_CHECK(fixed_focal <= 0 || model.identity_count() == 0);
   mutable_parameter_block_sizes()->push_back(model.frame_size());
 }
 
 bool FrameCost::Evaluate(double const* const* parameters, double* residuals,
                          double** jacobians) const {
-  const double* identity = shared_ ? parameters[1] : nullptr;
-  const double* frame = parameters[shared_ ? 2 : 0];
-  const double focal = shared_ ? std::exp(parameters[0][0]) : fixed_focal_;
-  double* d_focal = jacobians != nullptr && shared_ ? jacobians[0] : nullptr;
-  double* d_identity = jacobians != nullptr && shared_ ? jacobians[1] : nullptr;
-  double* d_frame = jacobians != nullptr ? jacobians[shared_ ? 2 : 0] : nullptr;
+  const bool has_focal = fixed_focal_ <= 0, has_identity = identity_block_ >= 0;
+  const double* identity = has_identity ? parameters[identity_block_] : nullptr;
+  const double* frame = parameters[frame_block_];
+  const double focal = has_focal ? std::exp(parameters[0][0]) : fixed_focal_;
+  double* d_focal = jacobians != nullptr && has_focal ? jacobians[0] : nullptr;
+  double* d_identity = jacobians != nullptr && has_identity ? jacobians[identity_block_] : nullptr;
+  double* d_frame = jacobians != nullptr ? jacobians[frame_block_] : nullptr;
   const int rows = num_residuals(), size = model_.frame_size();
   const int points = model_.point_count();
 

@@ -23,12 +23,14 @@ struct FrameTarget {
 };
 
 // Reprojection of all points (2 residuals each, robust by the square root of soft-L1, so that
-// Gauss-Newton sees the true cost), then the prior (frame_size), the limits (frame_size), the eyes'
-// difference (3). Parameter blocks: [log focal, identity, frame] when the model has an identity,
-// else [frame] with a fixed focal length. Points behind the camera make the evaluation fail.
+// Gauss-Newton sees the true cost), then the prior (frame_size), then the eyes' difference (3).
+//
+// Parameter blocks: [log focal, identity (left out when the model has none), frame], or, with a
+// fixed focal length, [frame]; the model then has its identity folded in. Points behind the camera
+// make the evaluation fail.
 class FrameCost : public ceres::CostFunction {
  public:
-  // Both outlive the cost. `fixed_focal` is used when the model has no identity.
+  // Both outlive the cost. fixed_focal > 0: the focal length is no parameter.
   FrameCost(const FitModel& model, const FrameTarget& target, double robust_at, double fixed_focal);
   bool Evaluate(double const* const* parameters, double* residuals,
                 double** jacobians) const override;
@@ -37,7 +39,7 @@ class FrameCost : public ceres::CostFunction {
   const FitModel& model_;
   const FrameTarget& target_;
   double robust_at_, fixed_focal_;
-  bool shared_;
+  int identity_block_ = -1, frame_block_ = 0;
 };
 
 // (x - mean) * weight, element by element.

@@ -12,6 +12,7 @@
 namespace effigy {
 namespace {
 
+constexpr double kEyeCorners = 0.09;  // metres between the outer corners of the eyes
 constexpr int kHoldOutEvery = 5, kHoldOutFirst = 2;
 
 template <size_t n>
@@ -120,7 +121,6 @@ FitSetup::FitSetup(const Rig& rig, const std::vector<FaceObservation>& frames, i
       options_(options),
       center_x_(0.5 * width),
       center_y_(0.5 * height),
-      typical_focal_(2.2 * std::max(width, height)),
       held_out_(choose_held_out(rig, options.hold_out)),
       used_(not_held_out(held_out_)),
       model_(rig, used_),
@@ -140,7 +140,10 @@ FitSetup::FitSetup(const Rig& rig, const std::vector<FaceObservation>& frames, i
   if (tracked_.empty()) throw Error("No frame of the video shows a face that could be tracked.");
   std::nth_element(spans.begin(), spans.begin() + static_cast<std::ptrdiff_t>(spans.size() / 2),
                    spans.end());
-  pixel_sigma_ = std::max(options.landmark_sigma * spans[spans.size() / 2], 1e-3);
+  const double span = spans[spans.size() / 2], longer = std::max(width, height);
+  pixel_sigma_ = std::max(options.landmark_sigma * span, 1e-3);
+  // One face tells little of the focal length: it is the distance that is guessed.
+  typical_focal_ = std::clamp(span * options.distance / kEyeCorners, 0.6 * longer, 12.0 * longer);
 
   neck_ = std::max(rig.joint("neck"), 0);
   const std::vector<float> normals = vertex_normals(rig.mesh.vertices, rig.mesh.triangles);

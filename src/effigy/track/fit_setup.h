@@ -41,7 +41,7 @@ class FitSetup {
   const Rig& rig_;
   const std::vector<FaceObservation>& frames_;
   FitOptions options_;
-  double center_x_, center_y_, typical_focal_, pixel_sigma_ = 1;
+  double center_x_, center_y_, typical_focal_ = 1, pixel_sigma_ = 1;
   int neck_ = 0;                 // joint that turns the head; 0 when the rig has only a root
   Vec3d torso_ = Vec3d::Zero();  // rotation of the root, median over the video
   std::vector<int> tracked_;
