@@ -7,6 +7,7 @@
 
 #include <algorithm>
 #include <memory>
+#include <mutex>
 #include <thread>
 
 #include "effigy/base/error.h"
@@ -15,10 +16,18 @@ namespace effigy {
 namespace {
 
 int g_threads = 0;
+std::mutex g_arena_mutex;
+std::unique_ptr<tbb::global_control> g_control;  // allows more threads than cores when asked for
 std::unique_ptr<tbb::task_arena> g_arena;
 
 tbb::task_arena& arena() {
-  if (!g_arena) g_arena = std::make_unique<tbb::task_arena>(thread_count());
+  const std::lock_guard lock(g_arena_mutex);
+  if (!g_arena) {
+    const int threads = thread_count();
+    g_control = std::make_unique<tbb::global_control>(tbb::global_control::max_allowed_parallelism,
+                                                      static_cast<size_t>(threads));
+    g_arena = std::make_unique<tbb::task_arena>(threads);
+  }
   return *g_arena;
 }
 
@@ -33,8 +42,10 @@ int thread_count() {
 void set_thread_count(int count) {
   if (count < 1 || count > 256)
     throw Error("--threads must be between 1 and 256, got " + std::to_string(count) + ".");
+  const std::lock_guard lock(g_arena_mutex);
   g_threads = count;
   g_arena.reset();
+  g_control.reset();
 }
 
 void run_slots(int slots, const std::function<void(int)>& body) {
