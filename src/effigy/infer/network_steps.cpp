@@ -1,14 +1,17 @@
 #include "effigy/infer/network_steps.h"
 
+#include <ATen/Context.h>
 #include <ATen/ops/avg_pool2d.h>
 #include <ATen/ops/cat.h>
 #include <ATen/ops/constant_pad_nd.h>
 #include <ATen/ops/conv2d.h>
 #include <ATen/ops/empty.h>
+#include <ATen/ops/mkldnn_convolution.h>
 #include <ATen/ops/relu.h>
 #include <ATen/ops/upsample_bilinear2d.h>
 
 #include <algorithm>
+#include <array>
 #include <cstring>
 
 #include "effigy/base/error.h"
@@ -40,6 +43,18 @@ struct Fused {
 void apply(const Fused& fused, at::Tensor& y) {
   if (fused.activation == Activation::kNone) return;
   activate(y.data_ptr<float>(), static_cast<size_t>(y.numel()), fused.activation, fused.slopes);
+}
+
+// libtorch gives single-threaded 1x1 convolutions to its BLAS, which is two to three times slower
+// than oneDNN on large pictures and starts threads of its own; on tiny ones it is the faster.
+at::Tensor convolve(const at::Tensor& x, const at::Tensor& weight, const at::Tensor& bias,
+                    const std::array<int64_t, 2>& stride, const std::array<int64_t, 2>& padding,
+                    const std::array<int64_t, 2>& dilation, int64_t groups) {
+  constexpr int64_t kTiny = 64;
+  static const bool has_onednn = at::globalContext().hasMKLDNN();
+  if (has_onednn && x.size(2) * x.size(3) > kTiny)
+    return at::mkldnn_convolution(x, weight, bias, padding, stride, dilation, groups);
+  return at::conv2d(x, weight, bias, stride, padding, dilation, groups);
 }
 
 at::Tensor nchw(const at::Tensor& x) {
@@ -221,8 +236,8 @@ Run Builder::convolution(const TfliteNode& node, bool depthwise, Fused fused) co
   return [=](const Values& values) {
     at::Tensor in = x.get(values);
     if (uneven) in = pad_picture(in, rows.before, rows.after, columns.before, columns.after, 0.0f);
-    at::Tensor y = nhwc(at::conv2d(nchw(in), w, bias, {stride_h, stride_w}, {pad_h, pad_w},
-                                   {dilation_h, dilation_w}, groups));
+    at::Tensor y = nhwc(convolve(nchw(in), w, bias, {stride_h, stride_w}, {pad_h, pad_w},
+                                 {dilation_h, dilation_w}, groups));
     apply(fused, y);
     return y;
   };
@@ -252,7 +267,7 @@ Run Builder::transposed_convolution(const TfliteNode& node, Fused fused) const {
   return [=](const Values& values) {
     const at::Tensor& in = x.get(values);
     const int64_t height = in.size(1), width = in.size(2);
-    at::Tensor y = nhwc(at::conv2d(nchw(in), w, b))
+    at::Tensor y = nhwc(convolve(nchw(in), w, b, {1, 1}, {0, 0}, {1, 1}, 1))
                        .view({height, width, kernel_h, kernel_w, outputs})
                        .permute({0, 2, 1, 3, 4})
                        .contiguous()
