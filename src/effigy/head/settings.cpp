@@ -46,6 +46,7 @@ void visit_settings(Settings& s, Visit&& visit) {
   visit("uv_distortion", s.uv_distortion);
   visit("uv_distortion_start", s.uv_distortion_start);
   visit("uv_distortion_threshold", s.uv_distortion_threshold);
+  visit("largest_scale", s.largest_scale);
   visit("divide_by_alpha", s.divide_by_alpha);
   visit("interpolated_normals", s.interpolated_normals);
   visit("splat_normal_frame", s.splat_normal_frame);
@@ -70,6 +71,7 @@ void check(const TrainSettings& s, const std::string& name) {
   require(s.texture_size >= 64 && s.texture_size <= 4096, "texture_size must be 64 to 4096");
   require(s.uv_distortion == "norm" || s.uv_distortion == "squared" || s.uv_distortion == "off",
           "uv_distortion must be norm, squared or off");
+  require(s.largest_scale > 0, "largest_scale must be positive");
   require(s.final_part >= 0 && s.final_part <= 1 && s.final_rate_factor > 0,
           "final_part must be in [0, 1] and final_rate_factor positive");
 }

@@ -52,6 +52,7 @@ struct TrainSettings {
   std::string uv_distortion = "norm";     // "norm" (paper), "squared", "off"
   int uv_distortion_start = 2000;         // iteration
   double uv_distortion_threshold = 0.05;  // in [0, 1] UV; 0: none
+  double largest_scale = 0.02;            // metres, of a surfel's standard deviation
   bool divide_by_alpha = true;            // G-buffer divided by alpha before shading
   bool interpolated_normals = false;
   bool splat_normal_frame = false;  // Eq. 7's frame instead of the UV-aligned one

@@ -119,6 +119,9 @@ void HeadTrainer::State::update_surfels() {
   step(s.rotation, d_bound.rotation, optimiser.rotation, r.rotation);
   step(s.log_scale, d_bound.log_scale, optimiser.log_scale, r.log_scale);
   step(s.opacity_logit, d_bound.opacity_logit, optimiser.opacity, r.opacity);
+  // Surfels at the mesh's border have nothing to stop them from growing into long streaks.
+  const auto largest = static_cast<float>(std::log(settings.largest_scale));
+  for (float& log_scale : s.log_scale) log_scale = std::min(log_scale, largest);
 }
 
 void HeadTrainer::State::update_environment(const PrefilteredEnvironment& d_light) {
