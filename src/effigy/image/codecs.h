@@ -43,7 +43,8 @@ Image decode_radiance(std::span<const uint8_t> bytes, const std::string& name);
 Image read_exr(const Path& path);
 ImageMetadata read_exr_metadata(const Path& path);
 
-// Channels 1..4 of 8 or (wide) 16 bits. `level`: zlib's 0..9.
+// Channels 1..4 of 8 or (wide) 16 bits. `level`: zlib's 0..9; up to 2 with one
+// filter for all rows.
 std::vector<uint8_t> encode_png(const Raster& raster, const ImageMetadata& metadata, int level);
 
 }  // namespace effigy::detail

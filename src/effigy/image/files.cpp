@@ -139,10 +139,11 @@ ImageMetadata read_image_metadata(const Path& path) {
 }
 
 // Level 4: within a few percent of zlib's default in size, in half its time.
-constexpr int kPngLevel = 4;
+constexpr int kPngLevel = 4, kFastPngLevel = 2;
 
-void write_png8(const Path& path, const Image8& image, const ImageMetadata& metadata) {
-  write_file(path, detail::encode_png(raster_view(image), metadata, kPngLevel));
+void write_png8(const Path& path, const Image8& image, const ImageMetadata& metadata, bool fast) {
+  write_file(path,
+             detail::encode_png(raster_view(image), metadata, fast ? kFastPngLevel : kPngLevel));
 }
 
 void write_png16(const Path& path, const Image& image, const ImageMetadata& metadata) {

@@ -22,7 +22,9 @@ Image8 read_image8(const Path& path);
 Image read_image(const Path& path);
 // PNG text chunks and EXR string attributes; empty for other formats.
 ImageMetadata read_image_metadata(const Path& path);
-void write_png8(const Path& path, const Image8& image, const ImageMetadata& metadata = {});
+// `fast`: a third of the time for a tenth more bytes; for the many frames of a capture.
+void write_png8(const Path& path, const Image8& image, const ImageMetadata& metadata = {},
+                bool fast = false);
 // Clamps to [0, 1], rounds to 16 bit.
 void write_png16(const Path& path, const Image& image, const ImageMetadata& metadata = {});
 void write_jpeg(const Path& path, const Image8& image, int quality = 92);

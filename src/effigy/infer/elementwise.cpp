@@ -10,15 +10,21 @@ namespace {
 
 constexpr size_t kBlock = 256;
 
+// Both signs are computed and added: a product inside the condition would not vectorise.
 EFFIGY_CLONES void prelu_block(float* y, const float* slope, size_t n) {
-  for (size_t i = 0; i < n; ++i) y[i] = y[i] > 0.0f ? y[i] : y[i] * slope[i];
+  for (size_t i = 0; i < n; ++i) {
+    const float value = y[i];
+    const float above = value > 0.0f ? value : 0.0f, below = value > 0.0f ? 0.0f : value;
+    y[i] = above + slope[i] * below;
+  }
 }
 
 EFFIGY_CLONES void add_prelu_block(float* y, const float* a, const float* b, const float* slope,
                                    size_t n) {
   for (size_t i = 0; i < n; ++i) {
     const float sum = a[i] + b[i];
-    y[i] = sum > 0.0f ? sum : sum * slope[i];
+    const float above = sum > 0.0f ? sum : 0.0f, below = sum > 0.0f ? 0.0f : sum;
+    y[i] = above + slope[i] * below;
   }
 }
 

@@ -41,20 +41,17 @@ class FrameWriter {
     if (options.matte) {
       list_user_mattes();
     } else {
-      segmenter_ = std::make_unique<PersonSegmenter>(models);
+      for (int slot = 0; slot < thread_count(); ++slot) segmenters_.emplace_back(models);
     }
     make_folder(folder / "images/cam0");
     make_folder(folder / "masks/cam0");
   }
 
-  void add(const FrameSource::Frame& frame, bool tracked) {
+  void add(FrameSource::Frame frame, bool tracked) {
     PendingFrame pending;
     pending.number = frame.number;
     pending.seconds = frame.seconds;
-    pending.picture = crop_resize(frame.picture, crop_.x, crop_.y, crop_.width, crop_.height,
-                                  crop_.out_width, crop_.out_height);
-    if (segmenter_) pending.coarse = segmenter_->segment(pending.picture);
-    project(pending);
+    pending.picture = std::move(frame.picture);
     CaptureFrame entry;
     entry.number = frame.number;
     entry.seconds = frame.seconds;
@@ -64,7 +61,7 @@ class FrameWriter {
     entry.tracked = tracked;
     capture_.frames.push_back(entry);
     window_.push_back(std::move(pending));
-    if (window_.size() >= kBatch + 2) flush(false);
+    if (window_.size() >= prepared_ + kBatch) flush(false);
   }
 
   void finish() { flush(true); }
@@ -81,6 +78,19 @@ class FrameWriter {
       throw Error("--matte " + options_.matte->string() + ": " + std::to_string(mattes_.size()) +
                   " pictures for " + std::to_string(fit_.poses.size()) +
                   " frames; give one matte a frame, in the order of their names.");
+  }
+
+  // The crop, the segmentation and where the head is; one thread a slot.
+  void prepare(PendingFrame& frame, int slot) {
+    const bool whole = crop_.x == 0 && crop_.y == 0 && crop_.width == frame.picture.width &&
+                       crop_.height == frame.picture.height &&
+                       crop_.out_width == frame.picture.width &&
+                       crop_.out_height == frame.picture.height;
+    if (!whole)
+      frame.picture = crop_resize(frame.picture, crop_.x, crop_.y, crop_.width, crop_.height,
+                                  crop_.out_width, crop_.out_height);
+    if (!segmenters_.empty()) frame.coarse = segmenters_[slot].segment(frame.picture);
+    project(frame);
   }
 
   // Landmarks and neck ring of the fitted rig in the crop.
@@ -109,8 +119,12 @@ class FrameWriter {
   }
 
   // Writes the frames of the window whose neighbours are known: all but the last unless `all`.
-  // window_[0] is the frame before them once done_ > 0.
+  // window_[0] is the frame before them once done_ > 0; the first prepared_ are cropped and
+  // segmented.
   void flush(bool all) {
+    parallel_for(window_.size() - prepared_, 1, [&](size_t begin, size_t stop, int slot) {
+      for (size_t i = begin; i < stop; ++i) prepare(window_[prepared_ + i], slot);
+    });
     const size_t first = done_ > 0 ? 1 : 0;
     const size_t end = all ? window_.size() : window_.size() - 1;
     parallel_for(end - first, 1, [&](size_t begin, size_t stop, int) {
@@ -119,13 +133,15 @@ class FrameWriter {
     done_ += end - first;
     if (end > 0)
       window_.erase(window_.begin(), window_.begin() + static_cast<std::ptrdiff_t>(end - 1));
+    prepared_ = window_.size();
   }
 
   void write(size_t i) const {
     const PendingFrame& here = window_[i];
     const CaptureFrame& entry = capture_.frames[here.number];
-    write_png8(folder_ / entry.image, here.picture);
-    write_png8(folder_ / entry.mask, mattes_.empty() ? network_matte(i) : user_matte(here));
+    write_png8(folder_ / entry.image, here.picture, {}, true);
+    write_png8(folder_ / entry.mask, mattes_.empty() ? network_matte(i) : user_matte(here), {},
+               true);
   }
 
   Image8 network_matte(size_t i) const {
@@ -176,10 +192,10 @@ class FrameWriter {
   Path folder_;
   Capture& capture_;
   RigShape shape_;
-  std::unique_ptr<PersonSegmenter> segmenter_;
+  std::vector<PersonSegmenter> segmenters_;  // one a slot
   std::vector<Path> mattes_;
   std::vector<PendingFrame> window_;
-  size_t done_ = 0;
+  size_t done_ = 0, prepared_ = 0;
   double frame_width_ = 1, frame_height_ = 1;
 };
 
@@ -223,7 +239,7 @@ void write_frames(const Path& video, const ModelSet& models, const TrackOptions&
   int count = 0;
   while (count < static_cast<int>(seen.frames.size()) && source.next(frame)) {
     frame.number = count;
-    writer.add(frame, seen.frames[count].found);
+    writer.add(std::move(frame), seen.frames[count].found);
     progress.update(++count);
   }
   writer.finish();

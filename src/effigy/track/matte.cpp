@@ -82,22 +82,28 @@ EFFIGY_CLONES void multiply(const float* a, const float* b, float* out, size_t n
 EFFIGY_CLONES void guided_coefficients(const float* const* mean, const float* const* second,
                                        const float* const* cross, const float* mean_p, float eps,
                                        float* const* a, float* b, size_t n) {
+  const float *m0 = mean[0], *m1 = mean[1], *m2 = mean[2];
+  const float *s0 = second[0], *s1 = second[1], *s2 = second[2];
+  const float *s3 = second[3], *s4 = second[4], *s5 = second[5];
+  const float *c0 = cross[0], *c1 = cross[1], *c2 = cross[2];
+  float *a0 = a[0], *a1 = a[1], *a2 = a[2];
+#pragma GCC ivdep
   for (size_t i = 0; i < n; ++i) {
-    const float r = mean[0][i], g = mean[1][i], bl = mean[2][i];
-    const float rr = second[0][i] - r * r + eps, rg = second[1][i] - r * g;
-    const float rb = second[2][i] - r * bl, gg = second[3][i] - g * g + eps;
-    const float gb = second[4][i] - g * bl, bb = second[5][i] - bl * bl + eps;
-    const float cr = cross[0][i] - r * mean_p[i], cg = cross[1][i] - g * mean_p[i];
-    const float cb = cross[2][i] - bl * mean_p[i];
+    const float r = m0[i], g = m1[i], bl = m2[i];
+    const float rr = s0[i] - r * r + eps, rg = s1[i] - r * g;
+    const float rb = s2[i] - r * bl, gg = s3[i] - g * g + eps;
+    const float gb = s4[i] - g * bl, bb = s5[i] - bl * bl + eps;
+    const float cr = c0[i] - r * mean_p[i], cg = c1[i] - g * mean_p[i];
+    const float cb = c2[i] - bl * mean_p[i];
     const float i00 = gg * bb - gb * gb, i01 = gb * rb - rg * bb, i02 = rg * gb - gg * rb;
     const float i11 = rr * bb - rb * rb, i12 = rb * rg - rr * gb, i22 = rr * gg - rg * rg;
     const float inverse = 1.0f / (rr * i00 + rg * i01 + rb * i02);
     const float ar = (i00 * cr + i01 * cg + i02 * cb) * inverse;
     const float ag = (i01 * cr + i11 * cg + i12 * cb) * inverse;
     const float ab = (i02 * cr + i12 * cg + i22 * cb) * inverse;
-    a[0][i] = ar;
-    a[1][i] = ag;
-    a[2][i] = ab;
+    a0[i] = ar;
+    a1[i] = ag;
+    a2[i] = ab;
     b[i] = mean_p[i] - ar * r - ag * g - ab * bl;
   }
 }
@@ -131,7 +137,8 @@ EFFIGY_CLONES void apply_row(const float* row, const int* low, const int* high,
          c[2] * static_cast<float>(pixels[3 * x + 2])) *
             (1.0f / 255.0f) +
         c[3];
-    out[x] = std::min(std::max(value, 0.0f), 1.0f);
+    // Levels: the filter leaves a haze around the edge and a little transparency within.
+    out[x] = std::min(std::max((value - 0.12f) * (1.0f / 0.78f), 0.0f), 1.0f);
   }
 }
 
