@@ -1,5 +1,5 @@
-// Errors. The library never prints, exits or aborts: it throws Error, and the command line turns one
-// Error into one sentence and an exit code.
+// Errors. The library never prints, exits or aborts: it throws Error, and the command line turns
+// one Error into one sentence and an exit code.
 #pragma once
 
 #include <stdexcept>
@@ -39,20 +39,20 @@ namespace detail {
 }  // namespace detail
 
 // Programmer errors: conditions that only a defect of Effigy can break. Always compiled in.
-#define EFFIGY_CHECK(condition)                                                             \
-  do {                                                                                      \
-    if (!(condition)) ::effigy::detail::check_failed(__FILE__, __LINE__, #condition, {});   \
+#define EFFIGY_CHECK(condition)                                                           \
+  do {                                                                                    \
+    if (!(condition)) ::effigy::detail::check_failed(__FILE__, __LINE__, #condition, {}); \
   } while (false)
 
 // Equality of two integers, printing both values when it fails.
-#define EFFIGY_CHECK_EQ(a, b)                                                               \
-  do {                                                                                      \
-    const auto effigy_a = (a);                                                              \
-    const auto effigy_b = (b);                                                              \
-    if (!(effigy_a == static_cast<std::remove_const_t<decltype(effigy_a)>>(effigy_b)))                           \
-      ::effigy::detail::check_failed(__FILE__, __LINE__, #a " == " #b,                      \
-                                     std::to_string(effigy_a) + " vs " +                    \
-                                         std::to_string(effigy_b));                         \
+#define EFFIGY_CHECK_EQ(a, b)                                                          \
+  do {                                                                                 \
+    const auto effigy_a = (a);                                                         \
+    const auto effigy_b = (b);                                                         \
+    if (!(effigy_a == static_cast<std::remove_const_t<decltype(effigy_a)>>(effigy_b))) \
+      ::effigy::detail::check_failed(                                                  \
+          __FILE__, __LINE__, #a " == " #b,                                            \
+          std::to_string(effigy_a) + " vs " + std::to_string(effigy_b));               \
   } while (false)
 
 }  // namespace effigy

@@ -1,5 +1,5 @@
-// Progress of long work: one rewritten line with rate and time left on a terminal, a plain line every
-// few seconds otherwise. Also the place where long work notices Ctrl-C.
+// Progress of long work: one rewritten line with rate and time left on a terminal, a plain line
+// every few seconds otherwise. Also the place where long work notices Ctrl-C.
 #pragma once
 
 #include <chrono>
@@ -10,7 +10,8 @@ namespace effigy {
 
 class Progress {
  public:
-  // `what`: e.g. "training"; `unit`: e.g. "it"; `total` 0 when unknown; `start`: steps already done.
+  // `what`: e.g. "training"; `unit`: e.g. "it"; `total` 0 when unknown; `start`: steps already
+  // done.
   Progress(std::string what, std::string unit, int64_t total, int64_t start = 0);
   ~Progress();
   Progress(const Progress&) = delete;

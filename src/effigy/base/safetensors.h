@@ -1,5 +1,5 @@
-// safetensors: named arrays in one file (8-byte header length, JSON header, raw little-endian data).
-// Python, JavaScript and Rust read it, and it maps into memory.
+// safetensors: named arrays in one file (8-byte header length, JSON header, raw little-endian
+// data). Python, JavaScript and Rust read it, and it maps into memory.
 #pragma once
 
 #include <cstdint>

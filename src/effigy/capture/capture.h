@@ -19,28 +19,29 @@ namespace effigy {
 struct CaptureFrame {
   int64_t number = 0;  // original frame number in the source
   double seconds = 0;
-  Path image, mask;    // relative to the capture folder
-  Path albedo;         // optional prior or ground truth (sRGB), empty when absent
-  bool test = false;   // held out
+  Path image, mask;   // relative to the capture folder
+  Path albedo;        // optional prior or ground truth (sRGB), empty when absent
+  bool test = false;  // held out
   bool tracked = true;
 };
 
 struct Capture {
   Path folder;
-  std::string kind = "head";     // "head" or "body"
-  std::string source;            // what it was made from
+  std::string kind = "head";  // "head" or "body"
+  std::string source;         // what it was made from
   std::string licence = "not stated";
   std::string consent = "not stated";
   DisplayTransform display = DisplayTransform::kSrgb;
   double frames_per_second = 25;
-  Camera camera;                 // one camera (heads); camera_from_world fixed
+  Camera camera;  // one camera (heads); camera_from_world fixed
   std::vector<CaptureFrame> frames;
   Rig rig;
-  std::vector<float> identity;   // rig identity coefficients
-  std::vector<RigPose> poses;    // one per frame
-  std::vector<float> landmarks;  // [frames][478 or 468][2] pixels in the capture's images; may be empty
+  std::vector<float> identity;  // rig identity coefficients
+  std::vector<RigPose> poses;   // one per frame
+  std::vector<float>
+      landmarks;  // [frames][478 or 468][2] pixels in the capture's images; may be empty
   int landmark_count = 0;
-  Json extra;                    // further fields of capture.json, kept
+  Json extra;  // further fields of capture.json, kept
 
   std::vector<int> train_frames() const;  // indices into frames, tracked only
   std::vector<int> test_frames() const;

@@ -13,12 +13,12 @@ namespace effigy {
 
 // Positions are flat (3 per vertex) because kernels work on plain arrays.
 struct Mesh {
-  std::vector<float> vertices;         // 3V, metres
-  std::vector<Vec3i> triangles;        // F, vertex indices, counter-clockwise from outside
-  std::vector<Vec2f> uvs;              // UV vertices, v = 0 at the bottom row of the image
-  std::vector<Vec3i> uv_triangles;     // F, indices into uvs (empty: no UVs)
-  std::vector<int> triangle_part;      // F, index into parts (empty: one part)
-  std::vector<std::string> parts;      // names: OBJ groups/materials or rig parts
+  std::vector<float> vertices;      // 3V, metres
+  std::vector<Vec3i> triangles;     // F, vertex indices, counter-clockwise from outside
+  std::vector<Vec2f> uvs;           // UV vertices, v = 0 at the bottom row of the image
+  std::vector<Vec3i> uv_triangles;  // F, indices into uvs (empty: no UVs)
+  std::vector<int> triangle_part;   // F, index into parts (empty: one part)
+  std::vector<std::string> parts;   // names: OBJ groups/materials or rig parts
 
   int vertex_count() const { return static_cast<int>(vertices.size() / 3); }
   int triangle_count() const { return static_cast<int>(triangles.size()); }

@@ -12,9 +12,9 @@ struct BrdfTable {
 };
 // The table (computed once, shared).
 const BrdfTable& brdf_table();
-// Bilinear, clamped to texel centres, with the derivatives of scale and bias by n.v and roughness (0
-// where clamped). Within 2e-3 of the integrals from n.v = 0.04 on; closer to grazing up to 0.02, and
-// 0.04 below the first texel centre (n.v < 0.008, half a degree).
+// Bilinear, clamped to texel centres, with the derivatives of scale and bias by n.v and roughness
+// (0 where clamped). Within 2e-3 of the integrals from n.v = 0.04 on; closer to grazing up to 0.02,
+// and 0.04 below the first texel centre (n.v < 0.008, half a degree).
 struct BrdfSample {
   float scale, bias;
   float d_scale_nv, d_bias_nv, d_scale_roughness, d_bias_roughness;

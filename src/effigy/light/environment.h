@@ -57,8 +57,8 @@ struct PrefilteredEnvironment {
 // Each output texel's integral is a quadrature over the source's pyramid, fine where the lobe bends
 // (prefilter_rows.h). Against the full sum over source texels, a lamp of one texel is off by at
 // most 2 % of the lobe's peak response (typically under 0.5 %), noise by some 1e-3. Weights are
-// built once per size and shared by the process: 32^2 some 2 MB, 128^2 20 MB. Safe to use from several
-// threads. `source_size`: a power of two in [2, 1024].
+// built once per size and shared by the process: 32^2 some 2 MB, 128^2 20 MB. Safe to use from
+// several threads. `source_size`: a power of two in [2, 1024].
 class Prefilter {
  public:
   // source_size: e.g. 32 for the learned light, 128 or more for HDRIs.

@@ -32,15 +32,15 @@ struct Rig {
   std::vector<float> identity_basis;    // [identity_count][V][3], metres per unit
   std::vector<float> expression_basis;  // [expression_count][V][3], metres per unit
   std::vector<std::string> expression_names;
-  std::vector<float> identity_sigma;    // prior standard deviation of each coefficient
+  std::vector<float> identity_sigma;  // prior standard deviation of each coefficient
   std::vector<float> expression_low, expression_high;  // useful range of each coefficient
-  std::vector<float> pose_basis;        // [9 (J - 1)][V][3] or empty
+  std::vector<float> pose_basis;                       // [9 (J - 1)][V][3] or empty
 
   // Joints: 0 root, 1 neck, then by name; parents[0] = -1 and parents[j] < j.
   std::vector<std::string> joint_names;  // "root" "neck" ["jaw"] "eye_left" "eye_right"
   std::vector<int> parents;
-  std::vector<float> joint_regressor;    // [J][V]: joint positions from rest vertices
-  std::vector<float> weights;            // [V][J], rows sum to 1
+  std::vector<float> joint_regressor;  // [J][V]: joint positions from rest vertices
+  std::vector<float> weights;          // [V][J], rows sum to 1
 
   LandmarkEmbedding mediapipe;  // 468 or 478 points
   LandmarkEmbedding multipie;   // 68 points (MultiPIE/iBUG order)
@@ -53,8 +53,8 @@ struct Rig {
 
 // Parameters of one frame.
 struct RigPose {
-  std::vector<float> expression;      // expression_count
-  std::vector<float> joint_rotation;  // 3 J, axis-angle, radians; joint 0 turns the whole head
+  std::vector<float> expression;       // expression_count
+  std::vector<float> joint_rotation;   // 3 J, axis-angle, radians; joint 0 turns the whole head
   std::array<float, 3> translation{};  // metres, world
 
   static RigPose rest(const Rig& rig);
