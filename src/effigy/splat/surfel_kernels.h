@@ -15,7 +15,10 @@
 
 namespace effigy {
 
-inline constexpr int kTilePixels = kTileSize * kTileSize;
+inline constexpr size_t kTilePixels = kTileSize * kTileSize;
+inline constexpr int kTilePixelBits = 8;
+static_assert(size_t{1} << kTilePixelBits == kTilePixels);
+inline constexpr size_t kMostPlanes = 32;
 
 // What every tile of a frame shares.
 struct SurfelScene {
@@ -30,6 +33,11 @@ struct SurfelScene {
   float spread = 0.0f;       // playback: texels
   float negligible = 0.0f;   // playback: transmittance below which any run will do
   bool own_normals = false;  // playback: some frame's normal is not the surfel's own
+  // Forward and playback write, backward reads: plane c of pixel (x, y) is at
+  // gbuffer[c * plane_size + y * row_size + x].
+  float* gbuffer = nullptr;
+  const float* d_gbuffer = nullptr;  // backward: derivative of the loss
+  size_t plane_size = 0, row_size = 0;
 };
 
 struct SurfelTile {
@@ -61,18 +69,17 @@ class AlignedFloats {
   size_t size_ = 0;
 };
 
-// Memory of one thread, all arrays [plane][row][column] of the tile.
+// Memory of one thread.
 struct alignas(64) SurfelWorkspace {
-  float transmittance[kTilePixels];  // 0 once a pixel is finished
-  float out[kGBufferPlanes][kTilePixels];
-  float grad[kGBufferPlanes][kTilePixels];  // backward: derivative of the loss
-  float remaining[kTilePixels];  // backward: sum of w dL/dw over the surfels not yet replayed
-  int64_t pairs = 0;             // blended in the last tile
-  size_t used = 0;               // entries walked before every pixel was finished
+  // Planes of the tile's pixels: for every vector of pixels its planes one after the other, so that
+  // a visit touches one stretch of memory. Each pass has its own planes.
+  float block[kTilePixels * kMostPlanes];
+  int64_t pairs = 0;  // blended in the last tile
+  size_t used = 0;    // entries walked before every pixel was finished
 
   // UV distortion: per pixel the weights and uv of its surfels, [entry][pixel].
-  int32_t listed[kTilePixels];  // entries of each pixel
-  int32_t cursor[kTilePixels];
+  alignas(64) int32_t listed[kTilePixels];  // entries of each pixel
+  alignas(64) int32_t cursor[kTilePixels];
   uint8_t closed[kTilePixels];  // past the threshold
   AlignedFloats list_w, list_u, list_v, list_h, list_qu, list_qv;
 };
@@ -86,12 +93,12 @@ struct SurfelGradientBuffers {
 inline constexpr int kTexelBlock = 64;
 
 struct SurfelKernels {
-  // Fills workspace.out (all planes but those of the image outside the tile), pairs and used.
+  // Draws the tile into the G-buffer; sets pairs and used.
   void (*forward)(const SurfelScene&, const SurfelTile&, SurfelWorkspace&);
-  // Needs workspace.grad and workspace.remaining; adds to the buffers.
+  // Adds to the buffers.
   void (*backward)(const SurfelScene&, const SurfelTile&, SurfelWorkspace&,
                    const SurfelGradientBuffers&);
-  // Like forward without the UV distortion; overwrites workspace.grad.
+  // Like forward, without the UV distortion and with shared lookups.
   void (*playback)(const SurfelScene&, const SurfelTile&, SurfelWorkspace&);
   const char* target;  // name of the instruction set
 };

@@ -11,7 +11,9 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <type_traits>
 #include "effigy/splat/surfel_kernels.h"
+#include "hwy/cache_control.h"
 #include "hwy/highway.h"
 
 HWY_BEFORE_NAMESPACE();
@@ -31,6 +33,7 @@ constexpr Df df;
 constexpr Di di;
 constexpr size_t kLanes = hn::MaxLanes(Df());
 constexpr size_t kTile = kTileSize;
+constexpr size_t kColumns = kTile / kLanes;  // vectors in a row of the tile
 // One texel: 8 floats in one vector, or in as many as the target needs.
 using Dt = hn::CappedTag<float, 8>;
 constexpr Dt dt;
@@ -38,7 +41,8 @@ constexpr size_t kTexelLanes = hn::MaxLanes(Dt());
 
 constexpr float kMaxAlpha = 0.99f;
 constexpr float kMinTransmittance = 1e-4f;
-constexpr size_t kMostListed = 2400;  // (1 - 1/255)^2400 < kMinTransmittance
+constexpr size_t kMostListed = 2400;           // (1 - 1/255)^2400 < kMinTransmittance
+constexpr float kRoundingShift = 12582912.0f;  // 1.5 * 2^23: adding it rounds to an integer
 
 HWY_INLINE Vf set(float x) {
   return hn::Set(df, x);
@@ -66,43 +70,49 @@ HWY_INLINE uint32_t bits_of(Mf mask) {
   return bits;
 }
 
-// 2^x for x in [-126, 1], relative error below 2e-7: Chebyshev polynomial of degree 5 on [-1/2,
-// 1/2].
+// 2^x for x in [-126, 1], relative error below 2e-7: Chebyshev polynomial of degree 5 on
+// [-1/2, 1/2]. Garbage (but no trap) beyond.
 HWY_INLINE Vf exp2_fast(Vf x) {
-  const Vf whole = hn::Round(x);
-  const Vf f = hn::Sub(x, whole);
+  const Vf shifted = hn::Add(x, set(kRoundingShift));
+  const Vf f = hn::Sub(x, hn::Sub(shifted, set(kRoundingShift)));
   Vf p = set(0.0013390863f);
   p = hn::MulAdd(p, f, set(0.0096760319f));
   p = hn::MulAdd(p, f, set(0.0555035711f));
   p = hn::MulAdd(p, f, set(0.2402210749f));
   p = hn::MulAdd(p, f, set(0.6931471880f));
   p = hn::MulAdd(p, f, set(1.0000000755f));
-  const Vi exponent = hn::ShiftLeft<23>(hn::Add(hn::ConvertTo(di, whole), hn::Set(di, 127)));
-  return hn::Mul(p, hn::BitCast(df, exponent));
+  // The low bits of `shifted` are the integer part.
+  const Vi exponent = hn::ShiftLeft<23>(hn::BitCast(di, shifted));
+  return hn::BitCast(df, hn::Add(hn::BitCast(di, p), exponent));
 }
 
-// Columns first[row]..last[row] of the tile that the surfel can reach; first > last: none.
-struct RowSpans {
-  HWY_ALIGN int32_t first[kTile];
-  HWY_ALIGN int32_t last[kTile];
+// The rows of a tile as one surfel sees them: its affine functions at dx = 0, and which vectors of
+// pixels it can reach.
+struct SurfelRows {
+  HWY_ALIGN float a[kTile];
+  HWY_ALIGN float b[kTile];
+  HWY_ALIGN float c[kTile];
+  HWY_ALIGN float y[kTile];  // pixel centre - anchor
+  uint32_t reach[kColumns];  // bit y: row y of this column of vectors
 };
 
-HWY_INLINE void find_spans(const SurfelRecord& r, const SurfelOutline& o, const SurfelTile& tile,
-                           RowSpans& spans) {
-  if (o.everywhere) {
-    for (size_t row = 0; row < kTile; ++row) {
-      spans.first[row] = 0;
-      spans.last[row] = tile.width - 1;
-    }
-    return;
-  }
+HWY_INLINE void find_rows(const SurfelRecord& r, const SurfelOutline& o, const SurfelTile& tile,
+                          SurfelRows& rows) {
   const float top = static_cast<float>(tile.y) + 0.5f - r.anchor_y;
-  const float to_column = r.anchor_x - static_cast<float>(tile.x) - 0.5f;
-  const Vf zero = hn::Zero(df);
+  const Vf to_column = set(r.anchor_x - static_cast<float>(tile.x) - 0.5f);
+  const Vf zero = hn::Zero(df), one = set(1.0f);
+  const uint32_t tall = (uint32_t{1} << tile.height) - 1;
+  for (size_t j = 0; j < kColumns; ++j)
+    rows.reach[j] = o.everywhere && static_cast<int>(j * kLanes) < tile.width ? tall : 0;
   for (size_t row = 0; row < kTile; row += kLanes) {
-    const Vf y = hn::Add(hn::Iota(df, static_cast<float>(row)), set(top));
+    const Vf y = hn::Iota(df, top + static_cast<float>(row));
+    store(hn::MulAdd(set(r.a[2]), y, set(r.a[0])), rows.a + row);
+    store(hn::MulAdd(set(r.b[2]), y, set(r.b[0])), rows.b + row);
+    store(hn::MulAdd(set(r.c[2]), y, set(r.c[0])), rows.c + row);
+    store(y, rows.y + row);
+    if (o.everywhere) continue;
     const Vf dy = hn::Sub(y, set(o.y));
-    const Vf q = hn::NegMulAdd(hn::Mul(dy, dy), set(o.inverse_yy), set(1.0f));
+    const Vf q = hn::NegMulAdd(hn::Mul(dy, dy), set(o.inverse_yy), one);
     const Vf half = hn::Sqrt(hn::Mul(hn::Max(q, zero), set(o.k)));
     const Vf middle = hn::MulAdd(set(o.slope), dy, set(o.x));
     const Mf inside = hn::Ge(q, zero);
@@ -116,25 +126,34 @@ HWY_INLINE void find_spans(const SurfelRecord& r, const SurfelOutline& o, const 
       left = hn::IfThenElse(in_disc, hn::Min(left, hn::Sub(set(o.disc_x), reach)), left);
       right = hn::IfThenElse(in_disc, hn::Max(right, hn::Add(set(o.disc_x), reach)), right);
     }
-    const Vf first = hn::Ceil(hn::Add(left, set(to_column)));
-    const Vf last = hn::Floor(hn::Add(right, set(to_column)));
-    const float end = static_cast<float>(tile.width);
-    hn::Store(hn::ConvertTo(di, hn::Min(hn::Max(first, zero), set(end))), di, spans.first + row);
-    hn::Store(hn::ConvertTo(di, hn::Max(hn::Min(last, set(end - 1.0f)), set(-1.0f))), di,
-              spans.last + row);
+    // First and last column of pixels; a vector is reached when it has one of them or lies between.
+    const Vf first = hn::Ceil(hn::Add(left, to_column));
+    const Vf last =
+        hn::Min(hn::Floor(hn::Add(right, to_column)), set(static_cast<float>(tile.width - 1)));
+    const Mf some = hn::Le(first, last);
+    for (size_t j = 0; j < kColumns; ++j) {
+      const auto begin = static_cast<float>(j * kLanes);
+      const Mf here = hn::And(hn::Le(first, set(begin + static_cast<float>(kLanes - 1))),
+                              hn::Ge(last, set(begin)));
+      rows.reach[j] |= (bits_of(hn::And(some, here)) << row) & tall;
+    }
   }
 }
 
-// The affine functions of one row: value at dx = 0.
-struct RowStart {
-  float a, b, c, dy;
+// One column of vectors as a surfel sees it: dx = pixel centre - anchor, and the affine functions'
+// share of it.
+struct SurfelColumn {
+  Vf dx, a, b, c;
+
+  HWY_INLINE SurfelColumn(const SurfelRecord& r, float first)
+      : dx(hn::Iota(df, first)),
+        a(hn::Mul(set(r.a[1]), dx)),
+        b(hn::Mul(set(r.b[1]), dx)),
+        c(hn::Mul(set(r.c[1]), dx)) {}
 };
 
-HWY_INLINE RowStart start_row(const SurfelRecord& r, float dy) {
-  return {r.a[0] + r.a[2] * dy, r.b[0] + r.b[2] * dy, r.c[0] + r.c[2] * dy, dy};
-}
-
-// One surfel met by a vector of pixels. All values are 0 in lanes where nothing is blended.
+// One surfel met by a vector of pixels. u, v, z, inverse and weight are 0 in lanes where nothing is
+// blended.
 struct Hit {
   Vf u, v, z;  // standard deviations, camera depth; u = v = 0 where the low-pass won
   Vf inverse;  // 1 / C; 0 where the low-pass won
@@ -144,19 +163,18 @@ struct Hit {
 };
 
 template <bool kLowPass>
-HWY_INLINE Hit intersect(const SurfelRecord& r, const RowStart& row, Vf dx, Vf transmittance,
-                         float near) {
+HWY_INLINE Hit intersect(const SurfelRecord& r, const SurfelRows& rows, const SurfelColumn& column,
+                         size_t y, Vf transmittance, float near) {
   Hit hit;
-  const Vf c = hn::MulAdd(set(r.c[1]), dx, set(row.c));
-  Vf inverse = hn::Div(set(1.0f), c);
-  Vf u = hn::Mul(hn::MulAdd(set(r.a[1]), dx, set(row.a)), inverse);
-  Vf v = hn::Mul(hn::MulAdd(set(r.b[1]), dx, set(row.b)), inverse);
+  const Vf inverse = hn::Div(set(1.0f), hn::Add(column.c, set(rows.c[y])));
+  const Vf u = hn::Mul(hn::Add(column.a, set(rows.a[y])), inverse);
+  const Vf v = hn::Mul(hn::Add(column.b, set(rows.b[y])), inverse);
   Vf z = hn::Mul(set(r.depth), inverse);
   Vf rho = hn::MulAdd(u, u, hn::Mul(v, v));
   Mf front = hn::Gt(z, set(near));
   if constexpr (kLowPass) {
-    hit.ex = hn::Sub(dx, set(r.low_pass_x));
-    hit.ey = set(row.dy - r.low_pass_y);
+    hit.ex = hn::Sub(column.dx, set(r.low_pass_x));
+    hit.ey = set(rows.y[y] - r.low_pass_y);
     const Vf squared = hn::MulAdd(hit.ex, hit.ex, hn::Mul(hit.ey, hit.ey));
     const Vf filtered = hn::Add(squared, squared);
     // Where the plane is not met in front of the camera only the filter counts.
@@ -169,7 +187,7 @@ HWY_INLINE Hit intersect(const SurfelRecord& r, const RowStart& row, Vf dx, Vf t
   const Mf reached = hn::And(hn::Le(rho, set(r.rho_max)), front);
   constexpr float kHalfLog2E = 0.72134752044f;
   const Vf exponent = hn::NegMulAdd(rho, set(kHalfLog2E), set(r.log2_opacity));
-  hit.alpha = hn::Min(exp2_fast(hn::Max(exponent, set(-100.0f))), set(kMaxAlpha));
+  hit.alpha = hn::Min(exp2_fast(exponent), set(kMaxAlpha));
   const Vf after = hn::NegMulAdd(hit.alpha, transmittance, transmittance);
   const Mf enough = hn::Ge(after, set(kMinTransmittance));
   hit.blended = hn::And(reached, enough);
@@ -186,23 +204,141 @@ HWY_INLINE Hit intersect(const SurfelRecord& r, const RowStart& row, Vf dx, Vf t
   return hit;
 }
 
-// Where each lane reads the texture.
-struct Taps {
-  HWY_ALIGN int32_t index[kLanes];  // upper-left texel
-  HWY_ALIGN float fx[kLanes];
-  HWY_ALIGN float fy[kLanes];
+// Meeting surfels, reading the texture and summing up are done for a batch of vectors at a time,
+// one after the other: each is a long chain of dependent steps, and only several vectors' chains
+// side by side keep the processor busy. A slot is one lane of one vector of the batch.
+constexpr size_t kSlots = 64;
+constexpr size_t kBatch = kSlots / kLanes;  // vectors
+
+// Where each slot reads the texture, and what it finds there.
+struct TextureBatch {
+  HWY_ALIGN int32_t index[kSlots];          // upper-left texel
+  HWY_ALIGN float weight[4][kSlots];        // (x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)
+  HWY_ALIGN float texel[8 * kSlots];        // interpolated, slot by slot
+  HWY_ALIGN int32_t slot[kSlots + kLanes];  // the slots that blend
+  size_t slots = 0;
 };
 
-// Texels of each lane after interpolation, as two times four channels a lane.
-struct TexelLanes {
-  HWY_ALIGN float low[4 * kLanes];
-  HWY_ALIGN float high[4 * kLanes];
+// One channel of all lanes in each vector.
+struct Channels {
+  Vf c0, c1, c2, c3, c4, c5, c6, c7;
 };
+
+#if HWY_TARGET != HWY_SCALAR
+// 4 x 4 transpose within each 128-bit block.
+template <class D, class V>
+HWY_INLINE void transpose4(D d, V& r0, V& r1, V& r2, V& r3) {
+  const hn::Repartition<double, D> wide;
+  const auto lower = [&](V a, V b) HWY_ATTR {
+    return hn::BitCast(d, hn::InterleaveLower(wide, hn::BitCast(wide, a), hn::BitCast(wide, b)));
+  };
+  const auto upper = [&](V a, V b) HWY_ATTR {
+    return hn::BitCast(d, hn::InterleaveUpper(wide, hn::BitCast(wide, a), hn::BitCast(wide, b)));
+  };
+  const V a = hn::InterleaveLower(d, r0, r1), b = hn::InterleaveLower(d, r2, r3);
+  const V c = hn::InterleaveUpper(d, r0, r1), e = hn::InterleaveUpper(d, r2, r3);
+  r0 = lower(a, b);
+  r1 = upper(a, b);
+  r2 = lower(c, e);
+  r3 = upper(c, e);
+}
+#endif
+
+#if HWY_TARGET != HWY_SCALAR && HWY_MAX_BYTES >= 32
+struct EightTexels {
+  hn::Vec<Dt> r0, r1, r2, r3, r4, r5, r6, r7;
+};
+
+HWY_INLINE EightTexels transpose_rows(EightTexels e) {
+  transpose4(dt, e.r0, e.r1, e.r2, e.r3);
+  transpose4(dt, e.r4, e.r5, e.r6, e.r7);
+  return {hn::ConcatLowerLower(dt, e.r4, e.r0), hn::ConcatLowerLower(dt, e.r5, e.r1),
+          hn::ConcatLowerLower(dt, e.r6, e.r2), hn::ConcatLowerLower(dt, e.r7, e.r3),
+          hn::ConcatUpperUpper(dt, e.r4, e.r0), hn::ConcatUpperUpper(dt, e.r5, e.r1),
+          hn::ConcatUpperUpper(dt, e.r6, e.r2), hn::ConcatUpperUpper(dt, e.r7, e.r3)};
+}
+
+HWY_INLINE EightTexels transpose8(const float* from) {
+  const auto row = [&](size_t k) HWY_ATTR { return hn::Load(dt, from + 8 * k); };
+  return transpose_rows({row(0), row(1), row(2), row(3), row(4), row(5), row(6), row(7)});
+}
+
+HWY_INLINE void store_rows(const EightTexels& e, float* to) {
+  hn::Store(e.r0, dt, to);
+  hn::Store(e.r1, dt, to + 8);
+  hn::Store(e.r2, dt, to + 16);
+  hn::Store(e.r3, dt, to + 24);
+  hn::Store(e.r4, dt, to + 32);
+  hn::Store(e.r5, dt, to + 40);
+  hn::Store(e.r6, dt, to + 48);
+  hn::Store(e.r7, dt, to + 56);
+}
+#endif
+
+// From kLanes times eight floats, lane by lane, to channel by channel.
+HWY_INLINE Channels transpose(const float* p) {
+#if HWY_TARGET == HWY_SCALAR
+  return {load(p),     load(p + 1), load(p + 2), load(p + 3),
+          load(p + 4), load(p + 5), load(p + 6), load(p + 7)};
+#elif HWY_MAX_BYTES < 32  // four lanes
+  Channels t{load(p),     load(p + 8),  load(p + 16), load(p + 24),
+             load(p + 4), load(p + 12), load(p + 20), load(p + 28)};
+  transpose4(df, t.c0, t.c1, t.c2, t.c3);
+  transpose4(df, t.c4, t.c5, t.c6, t.c7);
+  return t;
+#elif HWY_MAX_BYTES < 64  // eight
+  const EightTexels x = transpose8(p);
+  return {x.r0, x.r1, x.r2, x.r3, x.r4, x.r5, x.r6, x.r7};
+#else                     // sixteen
+  const EightTexels x = transpose8(p), y = transpose8(p + 64);
+  const auto both = [](auto lower, auto upper) HWY_ATTR { return hn::Combine(df, upper, lower); };
+  return {both(x.r0, y.r0), both(x.r1, y.r1), both(x.r2, y.r2), both(x.r3, y.r3),
+          both(x.r4, y.r4), both(x.r5, y.r5), both(x.r6, y.r6), both(x.r7, y.r7)};
+#endif
+}
+
+// The other way round.
+HWY_INLINE void untranspose(Channels t, float* p) {
+#if HWY_TARGET == HWY_SCALAR
+  store(t.c0, p);
+  store(t.c1, p + 1);
+  store(t.c2, p + 2);
+  store(t.c3, p + 3);
+  store(t.c4, p + 4);
+  store(t.c5, p + 5);
+  store(t.c6, p + 6);
+  store(t.c7, p + 7);
+#elif HWY_MAX_BYTES < 32  // four lanes
+  transpose4(df, t.c0, t.c1, t.c2, t.c3);
+  transpose4(df, t.c4, t.c5, t.c6, t.c7);
+  store(t.c0, p);
+  store(t.c4, p + 4);
+  store(t.c1, p + 8);
+  store(t.c5, p + 12);
+  store(t.c2, p + 16);
+  store(t.c6, p + 20);
+  store(t.c3, p + 24);
+  store(t.c7, p + 28);
+#elif HWY_MAX_BYTES < 64  // eight
+  store_rows(transpose_rows({t.c0, t.c1, t.c2, t.c3, t.c4, t.c5, t.c6, t.c7}), p);
+#else                     // sixteen
+  const auto lower = [](Vf v) HWY_ATTR { return hn::LowerHalf(dt, v); };
+  const auto upper = [](Vf v) HWY_ATTR { return hn::UpperHalf(dt, v); };
+  store_rows(transpose_rows({lower(t.c0), lower(t.c1), lower(t.c2), lower(t.c3), lower(t.c4),
+                             lower(t.c5), lower(t.c6), lower(t.c7)}),
+             p);
+  store_rows(transpose_rows({upper(t.c0), upper(t.c1), upper(t.c2), upper(t.c3), upper(t.c4),
+                             upper(t.c5), upper(t.c6), upper(t.c7)}),
+             p + 64);
+#endif
+}
 
 struct TextureGrid {
   const float* texels;
   size_t step_x, step_y;  // floats
   float width, height;
+  float last_x, last_y;      // last texel
+  float before_x, before_y;  // last texel that has a right (lower) neighbour
   int32_t row;
 
   explicit TextureGrid(const SurfelScene& scene)
@@ -211,129 +347,165 @@ struct TextureGrid {
         step_y(scene.texture_height > 1 ? 8 * static_cast<size_t>(scene.texture_width) : 0),
         width(static_cast<float>(scene.texture_width)),
         height(static_cast<float>(scene.texture_height)),
+        last_x(width - 1.0f),
+        last_y(height - 1.0f),
+        before_x(std::max(width - 2.0f, 0.0f)),
+        before_y(std::max(height - 2.0f, 0.0f)),
         row(scene.texture_width) {}
 };
 
-// Bilinear at (u width - 1/2, v height - 1/2), clamped to the edge texels. `inside_x`, `inside_y`:
-// lanes where the coordinate was not clamped (where it has a derivative).
-HWY_INLINE void place_taps(const TextureGrid& grid, Vf u, Vf v, Taps& taps, Mf& inside_x,
-                           Mf& inside_y) {
+// Where to read the texture, bilinear at (u width - 1/2, v height - 1/2), clamped to the edge
+// texels.
+struct Taps {
+  Vi index;               // upper-left texel
+  Vf fx, fy;              // weight of the right and lower neighbours
+  Mf inside_x, inside_y;  // lanes where the coordinate was not clamped (where it has a derivative)
+};
+
+HWY_INLINE Taps find_taps(const TextureGrid& grid, Vf u, Vf v) {
+  Taps taps;
   const Vf zero = hn::Zero(df);
   const Vf x = hn::MulSub(u, set(grid.width), set(0.5f));
   const Vf y = hn::MulSub(v, set(grid.height), set(0.5f));
-  const Vf cx = hn::Min(hn::Max(x, zero), set(grid.width - 1.0f));
-  const Vf cy = hn::Min(hn::Max(y, zero), set(grid.height - 1.0f));
-  inside_x = hn::Eq(cx, x);
-  inside_y = hn::Eq(cy, y);
-  const Vf x0 = hn::Min(hn::Floor(cx), set(std::max(grid.width - 2.0f, 0.0f)));
-  const Vf y0 = hn::Min(hn::Floor(cy), set(std::max(grid.height - 2.0f, 0.0f)));
-  store(hn::Sub(cx, x0), taps.fx);
-  store(hn::Sub(cy, y0), taps.fy);
-  const Vi index =
-      hn::Add(hn::Mul(hn::ConvertTo(di, y0), hn::Set(di, grid.row)), hn::ConvertTo(di, x0));
-  hn::Store(index, di, taps.index);
+  const Vf cx = hn::Min(hn::Max(x, zero), set(grid.last_x));
+  const Vf cy = hn::Min(hn::Max(y, zero), set(grid.last_y));
+  taps.inside_x = hn::Eq(cx, x);
+  taps.inside_y = hn::Eq(cy, y);
+  const Vf x0 = hn::Min(hn::Floor(cx), set(grid.before_x));
+  const Vf y0 = hn::Min(hn::Floor(cy), set(grid.before_y));
+  taps.fx = hn::Sub(cx, x0);
+  taps.fy = hn::Sub(cy, y0);
+  // Whole numbers below 2^23 sit in the low bits after adding 2^23.
+  const auto whole = [](Vf f) HWY_ATTR {
+    return hn::And(hn::BitCast(di, hn::Add(f, set(8388608.0f))), hn::Set(di, 0x7fffff));
+  };
+  taps.index = hn::Add(hn::Mul(whole(y0), hn::Set(di, grid.row)), whole(x0));
+  return taps;
 }
 
-// Stores or loads floats c..c+kTexelLanes of a texel, held as two halves.
-HWY_INLINE void store_texel(hn::Vec<Dt> v, size_t c, float* low, float* high) {
-#if HWY_TARGET != HWY_SCALAR
-  if constexpr (kTexelLanes == 8) {
-    const hn::Half<Dt> half;
-    hn::Store(hn::LowerHalf(half, v), half, low);
-    hn::Store(hn::UpperHalf(half, v), half, high);
-    return;
-  }
-#endif
-  hn::Store(v, dt, c < 4 ? low + c : high + (c - 4));
+// Notes the taps of vector k of the batch, for the lanes in `mask`.
+HWY_INLINE void put_taps(const Taps& taps, Mf mask, size_t k, TextureBatch& batch) {
+  const size_t first = k * kLanes;
+  const Vf both = hn::Mul(taps.fx, taps.fy);
+  const Vf right = hn::Sub(taps.fx, both), below = hn::Sub(taps.fy, both);
+  hn::Store(taps.index, di, batch.index + first);
+  store(hn::Sub(hn::Sub(set(1.0f), taps.fx), below), batch.weight[0] + first);
+  store(right, batch.weight[1] + first);
+  store(below, batch.weight[2] + first);
+  store(both, batch.weight[3] + first);
+  batch.slots += hn::CompressStore(hn::Iota(di, static_cast<int32_t>(first)),
+                                   hn::RebindMask(di, mask), di, batch.slot + batch.slots);
 }
 
-HWY_INLINE hn::Vec<Dt> load_texel(size_t c, const float* low, const float* high) {
-#if HWY_TARGET != HWY_SCALAR
-  if constexpr (kTexelLanes == 8) {
-    const hn::Half<Dt> half;
-    return hn::Combine(dt, hn::Load(half, high), hn::Load(half, low));
-  }
-#endif
-  return hn::Load(dt, c < 4 ? low + c : high + (c - 4));
-}
-
-// Looks up the texture for the lanes in `bits`; other lanes keep what they held (finite).
-HWY_INLINE void sample(const TextureGrid& grid, const Taps& taps, uint32_t bits,
-                       TexelLanes& value) {
-  for (; bits != 0; bits &= bits - 1) {
-    const size_t lane = hwy::Num0BitsBelowLS1Bit_Nonzero32(bits);
-    const float* p = grid.texels + 8 * static_cast<size_t>(taps.index[lane]);
-    const float* q = p + grid.step_y;
-    const auto fx = hn::Set(dt, taps.fx[lane]), fy = hn::Set(dt, taps.fy[lane]);
+// Looks up the texture for the batch's slots; the others keep what they held (finite).
+HWY_INLINE void sample(const TextureGrid& grid, TextureBatch& batch) {
+  const float* const texels = grid.texels;
+  const size_t step_x = grid.step_x, step_y = grid.step_y;
+  for (size_t k = 0; k < batch.slots; ++k) {
+    const auto slot = static_cast<size_t>(batch.slot[k]);
+    const float* p = texels + 8 * static_cast<size_t>(batch.index[slot]);
+    const float* q = p + step_y;
     for (size_t c = 0; c < 8; c += kTexelLanes) {
-      const auto p0 = hn::LoadU(dt, p + c), p1 = hn::LoadU(dt, p + grid.step_x + c);
-      const auto q0 = hn::LoadU(dt, q + c), q1 = hn::LoadU(dt, q + grid.step_x + c);
-      const auto top = hn::MulAdd(fx, hn::Sub(p1, p0), p0);
-      const auto bottom = hn::MulAdd(fx, hn::Sub(q1, q0), q0);
-      store_texel(hn::MulAdd(fy, hn::Sub(bottom, top), top), c, value.low + 4 * lane,
-                  value.high + 4 * lane);
+      const auto weight = [&](size_t w) HWY_ATTR { return hn::Set(dt, batch.weight[w][slot]); };
+      const auto top = hn::MulAdd(weight(1), hn::LoadU(dt, p + step_x + c),
+                                  hn::Mul(weight(0), hn::LoadU(dt, p + c)));
+      const auto bottom = hn::MulAdd(weight(3), hn::LoadU(dt, q + step_x + c),
+                                     hn::Mul(weight(2), hn::LoadU(dt, q + c)));
+      hn::Store(hn::Add(top, bottom), dt, batch.texel + 8 * slot + c);
     }
   }
 }
 
 // Which vectors of the tile still have a pixel to fill.
 struct Alive {
-  uint8_t chunk[kTilePixels / kLanes];
+  uint32_t rows[kColumns];  // bit y
   size_t count;
 };
 
-HWY_INLINE void begin_tile(const SurfelTile& tile, SurfelWorkspace& ws, Alive& alive) {
+// The transmittance of the vector of pixels `at` is at ws.block[at * planes + plane * kLanes].
+HWY_INLINE void begin_tile(const SurfelTile& tile, size_t planes, size_t plane, SurfelWorkspace& ws,
+                           Alive& alive) {
   ws.pairs = 0;
   ws.used = 0;
-  for (int y = 0; y < kTileSize; ++y) {
-    for (int x = 0; x < kTileSize; ++x)
-      ws.transmittance[y * kTileSize + x] = x < tile.width && y < tile.height ? 1.0f : 0.0f;
-  }
   alive.count = 0;
-  for (size_t k = 0; k < kTilePixels / kLanes; ++k) {
-    const bool any = !hn::AllFalse(df, hn::Gt(load(ws.transmittance + k * kLanes), hn::Zero(df)));
-    alive.chunk[k] = any;
-    alive.count += any;
+  for (size_t j = 0; j < kColumns; ++j) alive.rows[j] = 0;
+  for (size_t y = 0; y < kTile; ++y) {
+    for (size_t j = 0; j < kColumns; ++j) {
+      float* to = ws.block + (y * kTile + j * kLanes) * planes + plane * kLanes;
+      const Vf column = hn::Iota(df, static_cast<float>(j * kLanes));
+      const bool row_inside = static_cast<int>(y) < tile.height;
+      const Mf inside = hn::Lt(column, set(row_inside ? static_cast<float>(tile.width) : 0.0f));
+      store(hn::IfThenElseZero(inside, set(1.0f)), to);
+      if (!row_inside || static_cast<int>(j * kLanes) >= tile.width) continue;
+      alive.rows[j] |= uint32_t{1} << y;
+      ++alive.count;
+    }
   }
 }
 
 // Stores the new transmittances; notes when the vector's last pixel has finished.
-HWY_INLINE void update(const Hit& hit, size_t at, SurfelWorkspace& ws, Alive& alive) {
-  store(hit.after, ws.transmittance + at);
+HWY_INLINE void update(const Hit& hit, float* transmittance, size_t at, Alive& alive) {
+  store(hit.after, transmittance);
   if (!hn::AllFalse(df, hit.finished) && hn::AllFalse(df, hn::Gt(hit.after, hn::Zero(df)))) {
-    alive.chunk[at / kLanes] = 0;
+    alive.rows[at % kTile / kLanes] &= ~(uint32_t{1} << (at / kTile));
     --alive.count;
   }
 }
 
-// Calls visit(surfel, record, row start, dx, offset in the tile) for every vector of pixels that
-// the tile's surfels reach, front to back, and before/after each surfel begin(surfel) and
-// end(surfel).
-template <class Visit, class Begin, class End>
+// Calls visit(low-pass?, surfel, record, rows, column, row, offset in the tile) for every vector of
+// pixels that the tile's surfels reach, front to back, and begin(surfel) before each surfel.
+template <class Visit, class Begin>
 HWY_INLINE void walk(const SurfelScene& scene, const SurfelTile& tile, SurfelWorkspace& ws,
-                     Alive& alive, const Visit& visit, const Begin& begin, const End& end) {
-  RowSpans spans;
+                     Alive& alive, const Visit& visit, const Begin& begin) {
+  SurfelRows rows;
   for (size_t e = 0; e < tile.count && alive.count != 0; ++e) {
     const uint32_t surfel = tile.entries[e];
     const SurfelRecord& r = scene.records[surfel];
-    find_spans(r, scene.outlines[surfel], tile, spans);
+    if (e + 1 < tile.count) {
+      const SurfelRecord* next = scene.records + tile.entries[e + 1];
+      hwy::Prefetch(next);
+      hwy::Prefetch(reinterpret_cast<const char*>(next) + 64);
+      hwy::Prefetch(reinterpret_cast<const char*>(next) + 128);
+      hwy::Prefetch(scene.outlines + tile.entries[e + 1]);
+    }
+    find_rows(r, scene.outlines[surfel], tile, rows);
     begin(surfel);
-    const float dy0 = static_cast<float>(tile.y) + 0.5f - r.anchor_y;
     const float dx0 = static_cast<float>(tile.x) + 0.5f - r.anchor_x;
+    for (size_t j = 0; j < kColumns; ++j) {
+      uint32_t bits = rows.reach[j] & alive.rows[j];
+      if (bits == 0) continue;
+      const SurfelColumn column(r, dx0 + static_cast<float>(j * kLanes));
+      const auto each_row = [&](auto low_pass) HWY_ATTR {
+        for (; bits != 0; bits &= bits - 1) {
+          const size_t y = hwy::Num0BitsBelowLS1Bit_Nonzero32(bits);
+          visit(low_pass, surfel, r, rows, column, y, y * kTile + j * kLanes);
+        }
+      };
+      if (scene.low_pass && r.filtered)
+        each_row(std::true_type());
+      else
+        each_row(std::false_type());
+    }
+    ws.used = e + 1;
+  }
+}
+
+// Copies `count` planes of the tile's block to the image; plane c of vector `at` is at
+// block[at * planes + c * kLanes].
+HWY_INLINE void store_tile(const SurfelScene& scene, const SurfelTile& tile, const float* block,
+                           size_t planes, size_t count) {
+  for (size_t c = 0; c < count; ++c) {
     for (size_t y = 0; y < static_cast<size_t>(tile.height); ++y) {
-      if (spans.first[y] > spans.last[y]) continue;
-      const RowStart row = start_row(r, dy0 + static_cast<float>(y));
-      const auto last = static_cast<size_t>(spans.last[y]);
-      for (size_t x = static_cast<size_t>(spans.first[y]) / kLanes * kLanes; x <= last;
-           x += kLanes) {
-        const size_t at = y * kTile + x;
-        if (!alive.chunk[at / kLanes]) continue;
-        const Vf dx = hn::Iota(df, dx0 + static_cast<float>(x));
-        visit(surfel, r, row, dx, at);
+      float* to = scene.gbuffer + c * scene.plane_size +
+                  (static_cast<size_t>(tile.y) + y) * scene.row_size + static_cast<size_t>(tile.x);
+      for (size_t x = 0; x < static_cast<size_t>(tile.width); x += kLanes) {
+        const float* from = block + (y * kTile + x) * planes + c * kLanes;
+        if (x + kLanes <= static_cast<size_t>(tile.width))
+          hn::StoreU(load(from), df, to + x);
+        else
+          std::copy_n(from, static_cast<size_t>(tile.width) - x, to + x);
       }
     }
-    end(surfel);
-    ws.used = e + 1;
   }
 }
 
@@ -349,14 +521,10 @@ struct Material {
   Vf nx, ny, nz;
 };
 
-HWY_INLINE Material unpack(const TexelLanes& lanes) {
-  Material m;
-  Vf spare;
-  hn::LoadInterleaved4(df, lanes.low, m.channel[0], m.channel[1], m.channel[2], m.channel[3]);
-  hn::LoadInterleaved4(df, lanes.high, m.channel[4], m.nx, m.ny, spare);
-  const Vf rest = hn::NegMulAdd(m.nx, m.nx, hn::NegMulAdd(m.ny, m.ny, set(1.0f)));
-  m.nz = hn::Sqrt(hn::Max(rest, hn::Zero(df)));
-  return m;
+HWY_INLINE Material unpack(const float* texels) {
+  const Channels t = transpose(texels);
+  const Vf rest = hn::NegMulAdd(t.c5, t.c5, hn::NegMulAdd(t.c6, t.c6, set(1.0f)));
+  return {{t.c0, t.c1, t.c2, t.c3, t.c4}, t.c5, t.c6, hn::Sqrt(hn::Max(rest, hn::Zero(df)))};
 }
 
 }  // namespace

@@ -23,129 +23,198 @@ namespace effigy {
 namespace HWY_NAMESPACE {
 namespace {
 
-// The current run of every pixel, in the workspace's gradient planes (which playback does not
-// need).
-enum RunPlane : int {
+// The block of a vector of pixels: its current run, the transmittance, and the depth.
+enum PlaybackPlane : int {
   kRunWeight = 0,
   kRunStart = 1,  // 2: uv of its first surfel
   kRunUv = 3,     // 2: sum of w (uv - start)
   kRunFrame = 5,  // 9: sum of w times the flipped frame
   kRunPlanes = 14,
+  kPlaybackT = 14,
+  kPlaybackDepth = 15,
+  kPlaybackPlanes = 16,
 };
+// The other outputs, in a second block: touched only where a run ends.
+constexpr size_t kSumsBlock = kTilePixels * kPlaybackPlanes;
+constexpr size_t kSumPlanes = kUvDistortion;
+static_assert(kPlaybackPlanes + kSumPlanes <= kMostPlanes);
 
-struct Playback {
-  SurfelWorkspace& ws;
+HWY_INLINE float* plane_of(float* block, int k) {
+  return block + static_cast<size_t>(k) * kLanes;
+}
+
+// Vectors of pixels that met a surfel, and vectors of pixels with runs that have ended.
+struct PlaybackBatch {
   TextureGrid grid;
-  Taps taps = {};
-  TexelLanes texel = {};
+  HWY_ALIGN float w[kSlots];
+  HWY_ALIGN float z[kSlots];
+  HWY_ALIGN float u[kSlots];
+  HWY_ALIGN float v[kSlots];
+  HWY_ALIGN float before[kSlots];
+  const SurfelRecord* record[kBatch];
+  size_t at[kBatch];
+  size_t count = 0;
 
-  Playback(const SurfelScene& scene, SurfelWorkspace& w) : ws(w), grid(scene) {}
-  HWY_INLINE float* run(int plane, size_t at) { return ws.grad[plane] + at; }
-  HWY_INLINE float* out(int plane, size_t at) { return ws.out[plane] + at; }
+  TextureBatch texture = {};
+  HWY_ALIGN float run[kBatch][12 * kLanes];  // weight, uv, frame
+  size_t run_at[kBatch];
+  size_t runs = 0;
+  int64_t pairs = 0;
+
+  explicit PlaybackBatch(const SurfelScene& scene) : grid(scene) {}
 };
 
-// Mean uv of the runs with weight > 0.
-HWY_INLINE void mean_uv(Playback& p, size_t at, Vf& u, Vf& v) {
-  const Vf weight = load(p.run(kRunWeight, at));
-  const Vf inverse = hn::Div(set(1.0f), hn::Max(weight, set(1e-6f)));
-  u = hn::MulAdd(load(p.run(kRunUv, at)), inverse, load(p.run(kRunStart, at)));
-  v = hn::MulAdd(load(p.run(kRunUv + 1, at)), inverse, load(p.run(kRunStart + 1, at)));
-}
-
-// Reads the texture once for each run of the lanes in `ending`, adds it to the outputs and empties
-// the runs.
+// Reads the texture once for each ended run and adds it to the sums.
 template <bool kOwnNormals>
-HWY_INLINE void end_runs(Playback& p, size_t at, Mf ending, Vf u, Vf v) {
-  Mf inside_x, inside_y;
-  place_taps(p.grid, hn::IfThenElseZero(ending, u), hn::IfThenElseZero(ending, v), p.taps, inside_x,
-             inside_y);
-  sample(p.grid, p.taps, bits_of(ending), p.texel);
-  const Material m = unpack(p.texel);
-  const Vf weight = hn::IfThenElseZero(ending, load(p.run(kRunWeight, at)));
-  add_to(p.out(kAlpha, at), weight);
-  for (int k = 0; k < 5; ++k) add_product(p.out(kAlbedo + k, at), weight, m.channel[k]);
-  add_product(p.out(kUv, at), weight, u);
-  add_product(p.out(kUv + 1, at), weight, v);
-  for (int k = 0; k < 3; ++k) {
-    const Vf tangent = load(p.run(kRunFrame + k, at));
-    const Vf bitangent = load(p.run(kRunFrame + 3 + k, at));
-    const Vf normal = load(p.run(kRunFrame + 6 + k, at));
-    const Vf mapped = hn::MulAdd(m.nx, tangent, hn::MulAdd(m.ny, bitangent, hn::Mul(m.nz, normal)));
-    add_to(p.out(kMappedNormal + k, at), hn::IfThenElseZero(ending, mapped));
-    if constexpr (!kOwnNormals) add_to(p.out(kNormal + k, at), hn::IfThenElseZero(ending, normal));
+HWY_INLINE void sum_runs(PlaybackBatch& batch, SurfelWorkspace& ws) {
+  sample(batch.grid, batch.texture);
+  for (size_t k = 0; k < batch.runs; ++k) {
+    float* const sums = ws.block + kSumsBlock + batch.run_at[k] * kSumPlanes;
+    const auto run = [&](size_t p) HWY_ATTR { return load(batch.run[k] + p * kLanes); };
+    const Material m = unpack(batch.texture.texel + 8 * k * kLanes);
+    const Vf weight = run(0);
+    add_to(plane_of(sums, kAlpha), weight);
+    for (int c = 0; c < 5; ++c) add_product(plane_of(sums, kAlbedo + c), weight, m.channel[c]);
+    add_product(plane_of(sums, kUv), weight, run(1));
+    add_product(plane_of(sums, kUv + 1), weight, run(2));
+    for (size_t c = 0; c < 3; ++c) {
+      const Vf normal = run(9 + c);
+      const int mapped = kMappedNormal + static_cast<int>(c);
+      add_to(plane_of(sums, mapped),
+             hn::MulAdd(m.nx, run(3 + c), hn::MulAdd(m.ny, run(6 + c), hn::Mul(m.nz, normal))));
+      if constexpr (!kOwnNormals) add_to(plane_of(sums, kNormal + static_cast<int>(c)), normal);
+    }
   }
-  for (int k = 0; k < kRunPlanes; ++k)
-    store(hn::IfThenZeroElse(ending, load(p.run(k, at))), p.run(k, at));
+  batch.texture.slots = 0;
+  batch.runs = 0;
 }
 
-// kOwnNormals: the frames' normals are not the surfels' own, which then need their own sums.
-template <bool kLowPass, bool kOwnNormals>
-void playback_tile(const SurfelScene& scene, const SurfelTile& tile, SurfelWorkspace& ws) {
-  std::memset(ws.out, 0, sizeof(ws.out));
-  std::memset(ws.grad, 0, sizeof(ws.grad));
-  Alive alive;
-  begin_tile(tile, ws, alive);
-  Playback p(scene, ws);
-  int64_t pairs = 0;
-  const Vf zero = hn::Zero(df), width = set(p.grid.width), height = set(p.grid.height);
+// Puts the runs of the lanes in `ending` aside for sum_runs and empties them.
+template <bool kOwnNormals>
+HWY_INLINE void end_runs(PlaybackBatch& batch, SurfelWorkspace& ws, size_t at, Mf ending) {
+  float* const block = ws.block + at * kPlaybackPlanes;
+  const auto run = [block](int k) HWY_ATTR { return load(plane_of(block, k)); };
+  const Vf weight = hn::IfThenElseZero(ending, run(kRunWeight));
+  const Vf inverse = hn::Div(set(1.0f), hn::Max(weight, set(1e-6f)));
+  const Vf u = hn::MulAdd(run(kRunUv), inverse, run(kRunStart));
+  const Vf v = hn::MulAdd(run(kRunUv + 1), inverse, run(kRunStart + 1));
+  const size_t k = batch.runs++;
+  float* const to = batch.run[k];
+  batch.run_at[k] = at;
+  store(weight, to);
+  store(hn::IfThenElseZero(ending, u), to + kLanes);
+  store(hn::IfThenElseZero(ending, v), to + 2 * kLanes);
+  put_taps(find_taps(batch.grid, load(to + kLanes), load(to + 2 * kLanes)), ending, k,
+           batch.texture);
+  for (int c = 0; c < 9; ++c) {
+    const Vf frame = run(kRunFrame + c);
+    store(hn::IfThenElseZero(ending, frame), plane_of(to, 3 + c));
+    store(hn::IfThenZeroElse(ending, frame), plane_of(block, kRunFrame + c));
+  }
+  for (int c = kRunWeight; c < kRunFrame; ++c)
+    store(hn::IfThenZeroElse(ending, run(c)), plane_of(block, c));
+  if (batch.runs == kBatch) sum_runs<kOwnNormals>(batch, ws);
+}
+
+// Adds the batch to the pixels' runs and empties it. kOwnNormals: the frames' normals are not the
+// surfels' own, which then need their own sums.
+template <bool kOwnNormals>
+HWY_INLINE void join_runs(const SurfelScene& scene, PlaybackBatch& batch, SurfelWorkspace& ws) {
+  const Vf width = set(batch.grid.width), height = set(batch.grid.height);
   const Vf reach = set(scene.spread * scene.spread);
-  const auto visit = [&](uint32_t, const SurfelRecord& r, const RowStart& row, Vf dx,
-                         size_t at) HWY_ATTR {
-    const Hit hit = intersect<kLowPass>(r, row, dx, load(ws.transmittance + at), scene.near);
-    update(hit, at, ws, alive);
-    const uint32_t bits = bits_of(hit.blended);
-    if (bits == 0) return;
-    pairs += static_cast<int64_t>(hwy::PopCount(bits));
-    Vf u, v, mean_u, mean_v;
-    texture_uv(r, hit, u, v);
-    mean_uv(p, at, mean_u, mean_v);
-    Mf open = hn::Gt(load(p.run(kRunWeight, at)), zero);
-    const Vf du = hn::Mul(hn::Sub(u, mean_u), width), dv = hn::Mul(hn::Sub(v, mean_v), height);
-    const Mf far =
-        hn::And(hn::And(hit.blended, open), hn::Gt(hn::MulAdd(du, du, hn::Mul(dv, dv)), reach));
+  for (size_t k = 0; k < batch.count; ++k) {
+    const SurfelRecord& r = *batch.record[k];
+    const size_t at = batch.at[k], first = k * kLanes;
+    float* const block = ws.block + at * kPlaybackPlanes;
+    const auto run = [block](int p) HWY_ATTR { return load(plane_of(block, p)); };
+    const Vf w = load(batch.w + first), u = load(batch.u + first), v = load(batch.v + first);
+    const Mf blended = hn::Gt(w, hn::Zero(df));
+    // uv - start; against the mean, times the run's weight: nothing to divide, and 0 for a new run.
+    Vf du = hn::Sub(u, run(kRunStart)), dv = hn::Sub(v, run(kRunStart + 1));
+    const Vf weight = run(kRunWeight), sum_u = run(kRunUv), sum_v = run(kRunUv + 1);
+    const Vf away_u = hn::Mul(hn::MulSub(weight, du, sum_u), width);
+    const Vf away_v = hn::Mul(hn::MulSub(weight, dv, sum_v), height);
+    const Vf away2 = hn::MulAdd(away_u, away_u, hn::Mul(away_v, away_v));
+    const Vf allowed = hn::Mul(hn::Mul(reach, hn::Mul(weight, weight)), hn::Add(weight, w));
+    const Mf far = hn::And(blended, hn::Gt(hn::Mul(w, away2), allowed));
+    Mf fresh = hn::And(blended, hn::Eq(weight, hn::Zero(df)));
     if (!hn::AllFalse(df, far)) {
-      const Mf joins = hn::And(far, hn::Lt(hit.before, set(scene.negligible)));
-      u = hn::IfThenElse(joins, mean_u, u);
-      v = hn::IfThenElse(joins, mean_v, v);
+      const Mf joins = hn::And(far, hn::Lt(load(batch.before + first), set(scene.negligible)));
+      const Vf inverse = hn::Div(set(1.0f), hn::Max(weight, set(1e-6f)));
+      du = hn::IfThenElse(joins, hn::Mul(sum_u, inverse), du);
+      dv = hn::IfThenElse(joins, hn::Mul(sum_v, inverse), dv);
       const Mf ending = hn::AndNot(joins, far);
       if (!hn::AllFalse(df, ending)) {
-        end_runs<kOwnNormals>(p, at, ending, mean_u, mean_v);
-        open = hn::AndNot(ending, open);
+        end_runs<kOwnNormals>(batch, ws, at, ending);
+        fresh = hn::Or(fresh, ending);
       }
     }
-    const Vf w = hit.weight;
-    const Vf start_u = hn::IfThenElse(open, load(p.run(kRunStart, at)), u);
-    const Vf start_v = hn::IfThenElse(open, load(p.run(kRunStart + 1, at)), v);
-    store(start_u, p.run(kRunStart, at));
-    store(start_v, p.run(kRunStart + 1, at));
-    add_to(p.run(kRunWeight, at), w);
-    add_product(p.run(kRunUv, at), w, hn::Sub(u, start_u));
-    add_product(p.run(kRunUv + 1, at), w, hn::Sub(v, start_v));
-    for (int k = 0; k < 9; ++k) add_product(p.run(kRunFrame + k, at), w, set(r.frame[k]));
-    add_product(p.out(kDepth, at), w, hit.z);
-    if constexpr (kOwnNormals) {
-      for (int k = 0; k < 3; ++k) add_product(p.out(kNormal + k, at), w, set(r.normal[k]));
+    if (!hn::AllFalse(df, fresh)) {
+      store(hn::IfThenElse(fresh, u, run(kRunStart)), plane_of(block, kRunStart));
+      store(hn::IfThenElse(fresh, v, run(kRunStart + 1)), plane_of(block, kRunStart + 1));
+      du = hn::IfThenZeroElse(fresh, du);
+      dv = hn::IfThenZeroElse(fresh, dv);
     }
-  };
-  const auto nothing = [](uint32_t) HWY_ATTR {};
-  walk(scene, tile, ws, alive, visit, nothing, nothing);
-  for (size_t at = 0; at < kTilePixels; at += kLanes) {
-    const Mf open = hn::Gt(load(p.run(kRunWeight, at)), zero);
-    if (hn::AllFalse(df, open)) continue;
-    Vf u, v;
-    mean_uv(p, at, u, v);
-    end_runs<kOwnNormals>(p, at, open, u, v);
+    add_to(plane_of(block, kRunWeight), w);
+    add_product(plane_of(block, kRunUv), w, du);
+    add_product(plane_of(block, kRunUv + 1), w, dv);
+    for (int c = 0; c < 9; ++c) add_product(plane_of(block, kRunFrame + c), w, set(r.frame[c]));
+    add_product(plane_of(block, kPlaybackDepth), w, load(batch.z + first));
+    if constexpr (kOwnNormals) {
+      float* const sums = ws.block + kSumsBlock + at * kSumPlanes;
+      for (int c = 0; c < 3; ++c) add_product(plane_of(sums, kNormal + c), w, set(r.normal[c]));
+    }
   }
-  ws.pairs = pairs;
+  batch.count = 0;
+}
+
+template <bool kOwnNormals>
+void playback_tile(const SurfelScene& scene, const SurfelTile& tile, SurfelWorkspace& ws) {
+  std::memset(ws.block, 0, sizeof(float) * kTilePixels * (kPlaybackPlanes + kSumPlanes));
+  Alive alive;
+  begin_tile(tile, kPlaybackPlanes, kPlaybackT, ws, alive);
+  PlaybackBatch batch(scene);
+  const auto visit = [&](auto low_pass, uint32_t, const SurfelRecord& r, const SurfelRows& rows,
+                         const SurfelColumn& column, size_t y, size_t at) HWY_ATTR {
+    float* const transmittance = plane_of(ws.block + at * kPlaybackPlanes, kPlaybackT);
+    const Hit hit =
+        intersect<decltype(low_pass)::value>(r, rows, column, y, load(transmittance), scene.near);
+    update(hit, transmittance, at, alive);
+    const uint32_t bits = bits_of(hit.blended);
+    if (bits == 0) return;
+    Vf u, v;
+    texture_uv(r, hit, u, v);
+    const size_t k = batch.count++, first = k * kLanes;
+    batch.record[k] = &r;
+    batch.at[k] = at;
+    batch.pairs += static_cast<int64_t>(hwy::PopCount(bits));
+    store(hit.weight, batch.w + first);
+    store(hit.z, batch.z + first);
+    store(hit.before, batch.before + first);
+    store(u, batch.u + first);
+    store(v, batch.v + first);
+    if (batch.count == kBatch) join_runs<kOwnNormals>(scene, batch, ws);
+  };
+  const auto begin = [](uint32_t) HWY_ATTR {};
+  walk(scene, tile, ws, alive, visit, begin);
+  join_runs<kOwnNormals>(scene, batch, ws);
+  for (size_t at = 0; at < kTilePixels; at += kLanes) {
+    float* const block = ws.block + at * kPlaybackPlanes;
+    const Mf open = hn::Gt(load(plane_of(block, kRunWeight)), hn::Zero(df));
+    if (!hn::AllFalse(df, open)) end_runs<kOwnNormals>(batch, ws, at, open);
+    store(load(plane_of(block, kPlaybackDepth)),
+          plane_of(ws.block + kSumsBlock + at * kSumPlanes, kDepth));
+  }
+  sum_runs<kOwnNormals>(batch, ws);
+  ws.pairs = batch.pairs;
+  store_tile(scene, tile, ws.block + kSumsBlock, kSumPlanes, kSumPlanes);
 }
 
 void playback(const SurfelScene& scene, const SurfelTile& tile, SurfelWorkspace& ws) {
-  if (scene.low_pass)
-    scene.own_normals ? playback_tile<true, true>(scene, tile, ws)
-                      : playback_tile<true, false>(scene, tile, ws);
+  if (scene.own_normals)
+    playback_tile<true>(scene, tile, ws);
   else
-    scene.own_normals ? playback_tile<false, true>(scene, tile, ws)
-                      : playback_tile<false, false>(scene, tile, ws);
+    playback_tile<false>(scene, tile, ws);
 }
 
 }  // namespace

@@ -107,6 +107,20 @@ bool outline_surfel(const Camera& camera, const CameraSurfel& g, const SurfelRec
          record.anchor_y + bottom >= 0.5 && record.anchor_y + top <= camera.height - 0.5;
 }
 
+// Whether the low-pass can win anywhere: it cannot when u^2 + v^2 <= 2 |pixel - centre|^2
+// throughout a box around the outline.
+bool can_be_filtered(const SurfelRecord& r, const SurfelOutline& o) {
+  if (r.low_pass_x >= kNoLowPass) return false;
+  if (o.everywhere) return true;
+  const float radius = std::sqrt(std::max(o.disc_squared, 0.0f));
+  const float x = std::max(std::abs(o.x) + o.extent_x, std::abs(o.disc_x) + radius);
+  const float y =
+      std::max(std::abs(o.y) + 1.0f / std::sqrt(o.inverse_yy), std::abs(o.disc_y) + radius);
+  const float c = std::abs(r.c[0]) - std::abs(r.c[1]) * x - std::abs(r.c[2]) * y;
+  if (!(c > 0.0f)) return true;
+  return r.a[1] * r.a[1] + r.a[2] * r.a[2] + r.b[1] * r.b[1] + r.b[2] * r.b[2] > 2.0f * c * c;
+}
+
 // Fills record and outline; false when the surfel cannot be seen.
 bool prepare_one(const Camera& camera, const PosedSurfels& surfels, size_t i, float near,
                  bool low_pass, SurfelRecord& record, SurfelOutline& outline) {
@@ -158,7 +172,9 @@ bool prepare_one(const Camera& camera, const PosedSurfels& surfels, size_t i, fl
   for (int k = 0; k < 3; ++k) record.normal[k] = static_cast<float>(normal[k]);
   for (size_t k = 0; k < 9; ++k)
     record.frame[k] = static_cast<float>(sign) * surfels.frame[9 * i + k];
-  return outline_surfel(camera, g, record, near, low_pass, outline);
+  if (!outline_surfel(camera, g, record, near, low_pass, outline)) return false;
+  record.filtered = low_pass && can_be_filtered(record, outline);
+  return true;
 }
 
 // Order-preserving bits of a float.

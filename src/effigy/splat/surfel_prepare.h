@@ -28,6 +28,7 @@ struct SurfelRecord {
   float rho_max;  // a >= 1/255 exactly where rho <= this
   // Low-pass: rho = 2 |pixel - (anchor + low_pass)|^2 and z = center_z. Far away when it is off.
   float low_pass_x, low_pass_y, center_z;
+  int32_t filtered;  // 0: rho of the plane is never above that of the low-pass
   float uv[2], uv_per_st[4];
   float normal[3], frame[9];  // world, already flipped to face the camera
 };

@@ -66,38 +66,6 @@ SurfelTile make_tile(const Camera& camera, const TileBins& bins, int tile) {
   return t;
 }
 
-void copy_out(const SurfelTile& tile, const float (*planes)[kTilePixels], int count, Planes& to) {
-  for (int c = 0; c < count; ++c) {
-    for (int y = 0; y < tile.height; ++y)
-      std::memcpy(to.plane(c) + static_cast<size_t>(tile.y + y) * to.width + tile.x,
-                  planes[c] + y * kTileSize, sizeof(float) * static_cast<size_t>(tile.width));
-  }
-}
-
-// The tile's part of the derivatives (0 outside the image), and sum of w dL/dw of every pixel:
-// outputs are sums of w times something, so it is output times derivative (twice for the
-// distortion, which is of degree two in w).
-void copy_in(const SurfelTile& tile, const Planes& values, const Planes& d_values, bool distortion,
-             SurfelWorkspace& ws) {
-  const int used = distortion ? kGBufferPlanes : kUvDistortion;
-  std::memset(ws.grad, 0, sizeof(ws.grad));
-  std::memset(ws.remaining, 0, sizeof(ws.remaining));
-  for (int c = 0; c < used; ++c) {
-    const float degree = c == kUvDistortion ? 2.0f : 1.0f;
-    for (int y = 0; y < tile.height; ++y) {
-      const size_t at = static_cast<size_t>(tile.y + y) * values.width + tile.x;
-      const float* value = values.plane(c) + at;
-      const float* d = d_values.plane(c) + at;
-      float* grad = ws.grad[c] + y * kTileSize;
-      float* remaining = ws.remaining + y * kTileSize;
-      for (int x = 0; x < tile.width; ++x) {
-        grad[x] = d[x];
-        remaining[x] += degree * value[x] * d[x];
-      }
-    }
-  }
-}
-
 // Tiles [begin[slot], begin[slot + 1]) of each slot, about the same cost each.
 std::vector<int> split_tiles(const std::vector<int64_t>& cost, int slots) {
   int64_t total = 0;
@@ -211,9 +179,13 @@ void reduce_texels(std::vector<SurfelFrame::State::Buffers>& buffers, int slots,
 namespace {
 
 // Draws all tiles with one kind of kernel.
-void draw_tiles(const Camera& camera, const SurfelScene& scene,
+void draw_tiles(const Camera& camera, const SurfelScene& frame_scene,
                 void (*kernel)(const SurfelScene&, const SurfelTile&, SurfelWorkspace&),
                 SurfelFrame::State& state, Planes& gbuffer) {
+  SurfelScene scene = frame_scene;
+  scene.gbuffer = gbuffer.data.data();
+  scene.plane_size = gbuffer.pixels();
+  scene.row_size = static_cast<size_t>(gbuffer.width);
   const int tiles = state.bins.count(), slots = std::min(thread_count(), tiles);
   state.tile_pairs.assign(static_cast<size_t>(tiles), 0);
   state.tile_used.assign(static_cast<size_t>(tiles), 0);
@@ -225,7 +197,6 @@ void draw_tiles(const Camera& camera, const SurfelScene& scene,
     for (int t = next++; t < tiles; t = next++) {
       const SurfelTile tile = make_tile(camera, state.bins, t);
       kernel(scene, tile, ws);
-      copy_out(tile, ws.out, kGBufferPlanes, gbuffer);
       state.tile_pairs[static_cast<size_t>(t)] = ws.pairs;
       state.tile_used[static_cast<size_t>(t)] = static_cast<uint32_t>(ws.used);
     }
@@ -275,6 +246,7 @@ void render_surfels_playback(const Camera& camera, const PosedSurfels& surfels,
   scene.negligible = options.spread_texels > 0.0f ? kNegligible : 0.0f;
   scene.own_normals = has_own_normals(state.view);
   draw_tiles(camera, scene, chosen_kernels().playback, state, gbuffer);
+  std::fill_n(gbuffer.plane(kUvDistortion), gbuffer.pixels(), 0.0f);
   state.can_go_back = false;
 }
 
@@ -293,7 +265,11 @@ void render_surfels_backward(const Camera& camera, const PosedSurfels& surfels,
     EFFIGY_CHECK_EQ(p->height, camera.height);
     EFFIGY_CHECK_EQ(p->count, static_cast<int>(kGBufferPlanes));
   }
-  const SurfelScene scene = make_scene(state.view, texture, options);
+  SurfelScene scene = make_scene(state.view, texture, options);
+  scene.gbuffer = const_cast<float*>(gbuffer.data.data());  // read only
+  scene.d_gbuffer = d_gbuffer.data.data();
+  scene.plane_size = gbuffer.pixels();
+  scene.row_size = static_cast<size_t>(gbuffer.width);
   const SurfelKernels kernels = chosen_kernels();
   const int tiles = state.bins.count(), slots = std::min(thread_count(), tiles);
   state.reserve(slots);
@@ -304,7 +280,6 @@ void render_surfels_backward(const Camera& camera, const PosedSurfels& surfels,
   std::vector<int64_t> cost(state.tile_pairs);
   for (int64_t& c : cost) c += 64;
   const std::vector<int> split = split_tiles(cost, slots);
-  const bool distortion = options.uv_distortion != UvDistortion::kOff;
   run_slots(slots, [&](int slot) {
     SurfelFrame::State::Buffers& b = state.buffers[static_cast<size_t>(slot)];
     b.sums.assign(records * SurfelSums::kCount, 0.0f);
@@ -317,7 +292,6 @@ void render_surfels_backward(const Camera& camera, const PosedSurfels& surfels,
       SurfelTile tile = make_tile(camera, state.bins, t);
       tile.count = state.tile_used[static_cast<size_t>(t)];
       if (state.tile_pairs[static_cast<size_t>(t)] == 0) continue;
-      copy_in(tile, gbuffer, d_gbuffer, distortion, ws);
       kernels.backward(scene, tile, ws, out);
     }
   });
