@@ -5,6 +5,7 @@
 #include <atomic>
 #include <csignal>
 #include <cstdio>
+#include <exception>
 
 #include "effigy/base/error.h"
 #include "effigy/base/log.h"
@@ -63,7 +64,12 @@ Progress::Progress(std::string what, std::string unit, int64_t total, int64_t st
       last_(begin_) {}
 
 Progress::~Progress() {
-  finish();
+  // An error is on its way: its sentence is all that should be read.
+  if (std::uncaught_exceptions() > 0) {
+    clear_progress_line();
+  } else {
+    finish();
+  }
 }
 
 double Progress::seconds() const {
