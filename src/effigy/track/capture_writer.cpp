@@ -39,7 +39,7 @@ class FrameWriter {
         capture_(capture),
         shape_(shape_rig(capture.rig, capture.identity)) {
     if (options.matte) {
-      list_user_mattes();
+      mattes_ = list_own_mattes(*options.matte, fit.poses.size());
     } else {
       for (int slot = 0; slot < thread_count(); ++slot) segmenters_.emplace_back(models);
     }
@@ -67,19 +67,6 @@ class FrameWriter {
   void finish() { flush(true); }
 
  private:
-  void list_user_mattes() {
-    if (!std::filesystem::is_directory(*options_.matte))
-      throw Error("--matte " + options_.matte->string() +
-                  ": no such folder; give a folder of matte pictures, one a frame.");
-    for (const auto& entry : std::filesystem::directory_iterator(*options_.matte))
-      if (entry.is_regular_file()) mattes_.push_back(entry.path());
-    std::sort(mattes_.begin(), mattes_.end());
-    if (mattes_.size() < fit_.poses.size())
-      throw Error("--matte " + options_.matte->string() + ": " + std::to_string(mattes_.size()) +
-                  " pictures for " + std::to_string(fit_.poses.size()) +
-                  " frames; give one matte a frame, in the order of their names.");
-  }
-
   // The crop, the segmentation and where the head is; one thread a slot.
   void prepare(PendingFrame& frame, int slot) {
     const bool whole = crop_.x == 0 && crop_.y == 0 && crop_.width == frame.picture.width &&
@@ -152,7 +139,23 @@ class FrameWriter {
                                       before ? motion(here, *before) : PlaneSimilarity{},
                                       after ? &after->coarse : nullptr,
                                       after ? motion(here, *after) : PlaneSimilarity{});
-    return head_matte(refine_matte(here.picture, steady), here.region);
+    Image8 matte = head_matte(refine_matte(here.picture, steady), here.region);
+    clear_outside(matte);
+    return matte;
+  }
+
+  // Where the crop leaves the video's picture there is no head.
+  void clear_outside(Image8& matte) const {
+    const double sx = crop_.width / crop_.out_width, sy = crop_.height / crop_.out_height;
+    for (int y = 0; y < matte.height; ++y) {
+      const double v = crop_.y + (y + 0.5) * sy;
+      for (int x = 0; x < matte.width; ++x) {
+        const double u = crop_.x + (x + 0.5) * sx;
+        if (u < 0.5 * sx || v < 0.5 * sy || u > frame_width_ - 0.5 * sx ||
+            v > frame_height_ - 0.5 * sy)
+          *matte.at(x, y) = 0;
+      }
+    }
   }
 
   // Maps the coarse matte's pixels of `from` to those of `to`.
@@ -201,6 +204,21 @@ class FrameWriter {
 
 }  // namespace
 
+std::vector<Path> list_own_mattes(const Path& folder, size_t frames) {
+  if (!std::filesystem::is_directory(folder))
+    throw Error("--matte " + folder.string() +
+                ": no such folder; give a folder of matte pictures, one a frame.");
+  std::vector<Path> mattes;
+  for (const auto& entry : std::filesystem::directory_iterator(folder))
+    if (entry.is_regular_file()) mattes.push_back(entry.path());
+  std::sort(mattes.begin(), mattes.end());
+  if (mattes.size() < frames)
+    throw Error("--matte " + folder.string() + ": " + std::to_string(mattes.size()) +
+                " pictures for " + std::to_string(frames) +
+                " frames; give one matte a frame, in the order of their names.");
+  return mattes;
+}
+
 CropBox choose_crop(const Rig& rig, const FitResult& fit, const VideoObservation& seen,
                     const TrackOptions& options) {
   if (!options.crop_head)
@@ -224,8 +242,20 @@ CropBox choose_crop(const Rig& rig, const FitResult& fit, const VideoObservation
   }
   // Hair stands above the rig's bald head.
   y0 -= 0.1 * (y1 - y0);
-  const double side = (1 + kCropMargin) * std::max(x1 - x0, y1 - y0);
-  return {0.5 * (x0 + x1 - side), 0.5 * (y0 + y1 - side), side, side, options.size, options.size};
+  const double margin = 0.5 * kCropMargin * std::max(x1 - x0, y1 - y0);
+  // What lies outside the video's picture is no reason for a larger square.
+  const double width = seen.width, height = seen.height;
+  x0 = std::clamp(x0 - margin, 0.0, width - 1);
+  y0 = std::clamp(y0 - margin, 0.0, height - 1);
+  x1 = std::clamp(x1 + margin, x0 + 1, width);
+  y1 = std::clamp(y1 + margin, y0 + 1, height);
+  const double side = std::max(x1 - x0, y1 - y0);
+  // Centred on the head, moved into the picture where it fits.
+  const auto place = [&](double low, double high, double size) {
+    const double start = 0.5 * (low + high - side);
+    return side <= size ? std::clamp(start, 0.0, size - side) : 0.5 * (size - side);
+  };
+  return {place(x0, x1, width), place(y0, y1, height), side, side, options.size, options.size};
 }
 
 void write_frames(const Path& video, const ModelSet& models, const TrackOptions& options,

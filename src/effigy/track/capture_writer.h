@@ -20,6 +20,9 @@ struct CropBox {
 CropBox choose_crop(const Rig& rig, const FitResult& fit, const VideoObservation& seen,
                     const TrackOptions& options);
 
+// The user's own mattes in the order of their names; throws Error when there are fewer than frames.
+std::vector<Path> list_own_mattes(const Path& folder, size_t frames);
+
 // Writes images/cam0 and masks/cam0 into `folder` and fills capture.frames.
 void write_frames(const Path& video, const ModelSet& models, const TrackOptions& options,
                   const VideoObservation& seen, const FitResult& fit, const CropBox& crop,

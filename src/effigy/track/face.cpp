@@ -12,9 +12,11 @@ namespace {
 constexpr int kDetectorSide = 128;
 constexpr double kLeastScore = 0.5;
 constexpr double kLeastPresence = 0.5;
-constexpr double kRegionScale = 1.5;  // MediaPipe's margin around a face
-constexpr int kLookForOthers = 50;    // frames between looks for further faces
-constexpr int kThoroughEvery = 8;     // lost frames between thorough searches
+constexpr double kRegionScale = 1.5;        // MediaPipe's margin around a face
+constexpr int kLookForOthers = 25;          // frames between looks for further people
+constexpr double kSmallestOther = 1.0 / 3;  // of the followed face
+constexpr double kOtherPresence = 0.8;
+constexpr int kThoroughEvery = 8;  // lost frames between thorough searches
 
 // Samples a turned square of the frame into side x side RGB floats = value * gain + offset,
 // averaging n x n samples a pixel when shrinking. Outside the frame: the edge, or `outside` when >=
@@ -323,6 +325,19 @@ std::optional<FaceBox> FaceTracker::choose(const std::vector<FaceBox>& boxes,
   return best;
 }
 
+// The followed face and the others beside it.
+int FaceTracker::count_faces(const Image8& frame, const Region& followed) {
+  int count = 1;
+  for (const FaceBox& box : detector_.detect(frame, false)) {
+    const Region region = region_of(box);
+    const double distance = std::hypot(region.x - followed.x, region.y - followed.y);
+    if (region.side < kSmallestOther * followed.side || distance < 0.5 * followed.side) continue;
+    FaceObservation other;
+    if (measure(frame, region, other) && other.presence >= kOtherPresence) ++count;
+  }
+  return count;
+}
+
 FaceObservation FaceTracker::observe(const Image8& frame) {
   EFFIGY_CHECK_EQ(frame.channels, 3);
   FaceObservation observation;
@@ -330,18 +345,13 @@ FaceObservation FaceTracker::observe(const Image8& frame) {
   if (!observation.found) {
     const bool thorough = lost_ % kThoroughEvery == 0;
     const std::vector<FaceBox> boxes = detector_.detect(frame, thorough);
-    observation.faces = static_cast<int>(boxes.size());
     if (const auto box = choose(boxes, frame)) {
       observation.found = measure(frame, region_of(*box), observation);
       // A second look from the points themselves: the detector's box is coarse.
       if (observation.found)
         observation.found = measure(frame, region_of(observation.landmarks), observation);
     }
-  } else if (frame_ % kLookForOthers == 0) {
-    observation.faces = static_cast<int>(detector_.detect(frame, false).size());
   }
-  ++frame_;
-  most_faces_ = std::max(most_faces_, observation.faces);
   if (!observation.found) {
     ++lost_;
     next_.reset();
@@ -351,6 +361,11 @@ FaceObservation FaceTracker::observe(const Image8& frame) {
   lost_ = 0;
   next_ = region_of(observation.landmarks);
   last_known_ = next_;
+  if (frame_++ % kLookForOthers == 0) {
+    observation.faces = count_faces(frame, *next_);
+    most_faces_ = std::max(most_faces_, observation.faces);
+    if (observation.faces > 1) ++crowded_looks_;
+  }
   score(observation);
   return observation;
 }

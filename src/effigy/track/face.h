@@ -3,6 +3,7 @@
 // Mesh, Blendshape V2).
 #pragma once
 
+#include <algorithm>
 #include <optional>
 #include <vector>
 
@@ -26,7 +27,7 @@ struct FaceObservation {
   double presence = 0;           // probability of a face in the crop
   std::vector<float> landmarks;  // 3 a point: x, y in pixels of the frame, z on the same scale
   std::vector<float> scores;     // 52 (mediapipe::kBlendshapeNames) or empty
-  int faces = 0;                 // how many the detector saw, when it ran on this frame (else 0)
+  int faces = 0;                 // how many were confirmed, when the detector looked (else 0)
 };
 
 class FaceDetector {
@@ -50,7 +51,9 @@ class FaceTracker {
   FaceObservation observe(const Image8& frame);
 
   int landmark_count() const { return landmark_count_; }
-  int most_faces() const { return most_faces_; }  // seen in any one frame so far
+  // People in the picture at once: faces of at least a third of the followed one's size that the
+  // landmark network confirms, in two looks (the detector looks at every 25th frame).
+  int most_faces() const { return crowded_looks_ >= 2 ? most_faces_ : std::min(most_faces_, 1); }
 
  private:
   // A square turned by `angle` (radians) about its centre.
@@ -61,6 +64,7 @@ class FaceTracker {
   Region region_of(const std::vector<float>& landmarks) const;
   bool measure(const Image8& frame, const Region& region, FaceObservation& observation);
   void score(FaceObservation& observation);
+  int count_faces(const Image8& frame, const Region& followed);
   std::optional<FaceBox> choose(const std::vector<FaceBox>& boxes, const Image8& frame) const;
 
   FaceDetector detector_;
@@ -70,7 +74,7 @@ class FaceTracker {
   int landmark_count_ = 0;
   std::optional<Region> next_;        // where to look in the next frame
   std::optional<Region> last_known_;  // where the face was last
-  int frame_ = 0, lost_ = 0, most_faces_ = 0;
+  int frame_ = 0, lost_ = 0, most_faces_ = 0, crowded_looks_ = 0;
 };
 
 // Weighted non-maximum suppression (BlazeFace): boxes that overlap the best remaining one by more

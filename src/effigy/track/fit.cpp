@@ -84,17 +84,26 @@ double solve_jointly(const FitModel& model, const Rig& rig, double typical_focal
   solver.linear_solver_ordering = std::make_shared<ceres::ParameterBlockOrdering>();
   std::vector<std::unique_ptr<ceres::CostFunction>> costs;
   std::vector<std::unique_ptr<BoxManifold>> boxes;
-  double log_focal = std::log(shared.focal);
+  // Ceres orders what it eliminates by address, and rounding follows the order: all parameters
+  // stand in one array, so that the same input gives the same bits.
   const int identities = model.identity_count();
+  const Eigen::Index size = model.frame_size();
+  Eigen::VectorXd all(static_cast<Eigen::Index>(frames.size()) * size + 1 + identities);
+  double* const log_focal = all.data() + static_cast<Eigen::Index>(frames.size()) * size;
+  double* const identity = log_focal + 1;
+  *log_focal = std::log(shared.focal);
+  std::copy_n(shared.identity.data(), identities, identity);
   for (size_t k = 0; k < frames.size(); ++k) {
+    double* const frame = all.data() + static_cast<Eigen::Index>(k) * size;
+    std::copy_n(frames[k].data(), size, frame);
     auto cost = std::make_unique<FrameCost>(model, targets[k], options.robust_at, 0);
-    std::vector<double*> blocks = {&log_focal, frames[k].data()};
-    if (identities > 0) blocks.insert(blocks.begin() + 1, shared.identity.data());
+    std::vector<double*> blocks = {log_focal, frame};
+    if (identities > 0) blocks.insert(blocks.begin() + 1, identity);
     boxes.push_back(std::make_unique<BoxManifold>(targets[k].lower, targets[k].upper));
-    boxes[k]->hold(frames[k], frame_gradient(*cost, blocks, frames[k].size()));
+    boxes[k]->hold(frames[k], frame_gradient(*cost, blocks, size));
     problem.AddResidualBlock(cost.get(), nullptr, blocks);
-    problem.SetManifold(frames[k].data(), boxes[k].get());
-    solver.linear_solver_ordering->AddElementToGroup(frames[k].data(), 0);
+    problem.SetManifold(frame, boxes[k].get());
+    solver.linear_solver_ordering->AddElementToGroup(frame, 0);
     costs.push_back(std::move(cost));
   }
   const auto add_prior = [&](double* block, Eigen::VectorXd mean, Eigen::VectorXd weight) {
@@ -102,12 +111,12 @@ double solve_jointly(const FitModel& model, const Rig& rig, double typical_focal
     problem.AddResidualBlock(costs.back().get(), nullptr, block);
     solver.linear_solver_ordering->AddElementToGroup(block, 1);
   };
-  add_prior(&log_focal, Eigen::VectorXd::Constant(1, std::log(typical_focal)),
+  add_prior(log_focal, Eigen::VectorXd::Constant(1, std::log(typical_focal)),
             Eigen::VectorXd::Constant(1, 1.0 / options.log_focal_sigma));
   if (identities > 0) {
     Eigen::VectorXd weight(identities);
     for (int i = 0; i < identities; ++i) weight[i] = 1.0 / std::max(rig.identity_sigma[i], 1e-6f);
-    add_prior(shared.identity.data(), Eigen::VectorXd::Zero(identities), weight);
+    add_prior(identity, Eigen::VectorXd::Zero(identities), weight);
   }
   ceres::Solver::Summary summary;
   ceres::Solve(solver, &problem, &summary);
@@ -115,7 +124,10 @@ double solve_jointly(const FitModel& model, const Rig& rig, double typical_focal
   if (!summary.IsSolutionUsable())
     throw Error("The rig could not be fitted to the face in this video (" + summary.message +
                 "); check that the video shows one face, upright and not mirrored by effects.");
-  shared.focal = std::exp(log_focal);
+  for (size_t k = 0; k < frames.size(); ++k)
+    frames[k] = all.segment(static_cast<Eigen::Index>(k) * size, size);
+  shared.focal = std::exp(*log_focal);
+  std::copy_n(identity, identities, shared.identity.data());
   return (summary.initial_cost - summary.final_cost) / std::max(summary.initial_cost, 1e-12);
 }
 

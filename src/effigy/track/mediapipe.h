@@ -6,12 +6,8 @@
 
 namespace effigy::mediapipe {
 
-// The 68 MultiPIE/iBUG points among the 468: 17 contour points, then the 51 inner ones.
-inline constexpr std::array<int, 68> kMultiPie = {
-    162, 234, 93,  58,  172, 136, 149, 148, 152, 377, 378, 365, 397, 288, 323, 454, 389,
-    71,  63,  105, 66,  107, 336, 296, 334, 293, 301, 168, 197, 5,   4,   75,  97,  2,
-    326, 305, 33,  160, 158, 133, 153, 144, 362, 385, 387, 263, 373, 380, 61,  39,  37,
-    0,   267, 269, 291, 405, 314, 17,  84,  181, 78,  82,  13,  312, 308, 317, 14,  87};
+// Of the 68 MultiPIE/iBUG landmarks (rig/embedding.h tells which points they are), the first of the
+// inner ones: before it stands the contour.
 inline constexpr int kFirstInner = 17;
 
 // The outline of the face: slides over the skin when the head turns.

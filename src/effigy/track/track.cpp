@@ -6,7 +6,10 @@
 
 #include "effigy/base/log.h"
 #include "effigy/capture/capture.h"
+#include "effigy/image/video.h"
 #include "effigy/people/builtin_head.h"
+#include "effigy/rig/canonical_face.h"
+#include "effigy/rig/embedding.h"
 #include "effigy/rig/rig_file.h"
 #include "effigy/track/capture_writer.h"
 #include "effigy/track/fit.h"
@@ -44,7 +47,11 @@ Rig choose_rig(const TrackOptions& options, const ModelSet& models) {
     const Path folder = Path(data) / "face/ict_facekit";
     if (std::filesystem::is_directory(folder)) return load_rig(folder, geometry);
   }
-  return builtin_head_rig();
+  Rig rig = builtin_head_rig();
+  // It stands on the 68 landmarks alone, unless the networks' canonical face is there.
+  const CanonicalFace face = find_canonical_face(geometry);
+  if (!face.empty()) rig.mediapipe = embed_canonical(rig, face);
+  return rig;
 }
 
 double median_of_found(std::vector<double> values) {
@@ -76,6 +83,8 @@ void store_landmarks(const VideoObservation& seen, const CropBox& crop, Capture&
 Json track_video(const Path& video, const Path& output, const TrackOptions& options) {
   FolderWriter folder(output, "capture.json");
   const ModelSet models = find_models(options.models, !options.matte.has_value());
+  { const VideoReader readable(video); }  // before anything that takes time
+  if (options.matte) list_own_mattes(*options.matte, 0);
   StageClock clock;
   Capture capture;
   capture.source = video.filename().string();
@@ -85,6 +94,7 @@ Json track_video(const Path& video, const Path& output, const TrackOptions& opti
   log_info("tracking with the rig " + capture.rig.kind + " and " + models.description());
   clock.stage("rig");
   const VideoObservation seen = observe_video(video, models, options);
+  if (options.matte) list_own_mattes(*options.matte, seen.frames.size());
   clock.stage("landmarks");
   const FitResult fit = fit_rig(capture.rig, seen.frames, seen.width, seen.height, {});
   clock.stage("fit");
