@@ -24,25 +24,36 @@ constexpr size_t kRemaining = kGBufferPlanes + 1;
 constexpr size_t kBackwardPlanes = kGBufferPlanes + 2;
 static_assert(kBackwardPlanes <= kMostPlanes);
 
+// The first `lanes` floats at p, then zeros.
+HWY_INLINE Vf load_some(const float* p, size_t lanes) {
+  if (lanes == kLanes) return hn::LoadU(df, p);
+  HWY_ALIGN float some[kLanes] = {};
+  std::copy_n(p, lanes, some);
+  return load(some);
+}
+
 // Loads the tile's derivatives (0 outside the image) and, with the values, the sum of w dL/dw over
 // all surfels: outputs are sums of w times something, so it is value times derivative (twice that
 // for the distortion, which is of degree two in w).
 HWY_INLINE void load_derivatives(const SurfelScene& scene, const SurfelTile& tile,
                                  SurfelWorkspace& ws) {
+  const size_t used = scene.uv_distortion == UvDistortion::kOff ? kUvDistortion : kGBufferPlanes;
   std::memset(ws.block, 0, sizeof(float) * kTilePixels * kBackwardPlanes);
-  const int used = scene.uv_distortion == UvDistortion::kOff ? kUvDistortion : kGBufferPlanes;
-  for (int c = 0; c < used; ++c) {
-    const float degree = c == kUvDistortion ? 2.0f : 1.0f;
-    for (size_t y = 0; y < static_cast<size_t>(tile.height); ++y) {
-      const size_t from = static_cast<size_t>(c) * scene.plane_size +
-                          (static_cast<size_t>(tile.y) + y) * scene.row_size +
-                          static_cast<size_t>(tile.x);
-      for (size_t x = 0; x < static_cast<size_t>(tile.width); ++x) {
-        float* block = ws.block + (y * kTile + x / kLanes * kLanes) * kBackwardPlanes + x % kLanes;
-        const float d = scene.d_gbuffer[from + x];
-        block[static_cast<size_t>(c) * kLanes] = d;
-        block[kRemaining * kLanes] += degree * scene.gbuffer[from + x] * d;
+  for (size_t y = 0; y < static_cast<size_t>(tile.height); ++y) {
+    const size_t row =
+        (static_cast<size_t>(tile.y) + y) * scene.row_size + static_cast<size_t>(tile.x);
+    for (size_t x = 0; x < static_cast<size_t>(tile.width); x += kLanes) {
+      float* const block = ws.block + (y * kTile + x) * kBackwardPlanes;
+      const size_t lanes = std::min(kLanes, static_cast<size_t>(tile.width) - x);
+      Vf remaining = hn::Zero(df);
+      for (size_t c = 0; c < used; ++c) {
+        const size_t from = c * scene.plane_size + row + x;
+        const Vf d = load_some(scene.d_gbuffer + from, lanes);
+        const Vf value = load_some(scene.gbuffer + from, lanes);
+        store(d, block + c * kLanes);
+        remaining = hn::MulAdd(c == kUvDistortion ? hn::Add(d, d) : d, value, remaining);
       }
+      store(remaining, block + kRemaining * kLanes);
     }
   }
 }
@@ -140,22 +151,6 @@ HWY_INLINE void scatter(const BackwardBatch& batch) {
   }
 }
 
-// Derivative of the distortion of the blended lanes' next list entries: dL/dw, dL/du, dL/dv (0 past
-// the end of a list).
-HWY_INLINE void take_listed(Mf blended, size_t at, SurfelWorkspace& ws, Vf& h, Vf& qu, Vf& qv) {
-  const Vi cursor = hn::Load(di, ws.cursor + at), one = hn::Set(di, 1);
-  const auto taken = hn::RebindMask(di, blended);
-  hn::Store(hn::Add(cursor, hn::IfThenElseZero(taken, one)), di, ws.cursor + at);
-  const auto listed = hn::And(taken, hn::Lt(cursor, hn::Load(di, ws.listed + at)));
-  const Vi slot =
-      hn::Add(hn::ShiftLeft<kTilePixelBits>(cursor), hn::Iota(di, static_cast<int32_t>(at)));
-  const Vi index = hn::IfThenElseZero(listed, slot);
-  const Mf valid = hn::RebindMask(df, listed);
-  h = hn::IfThenElseZero(valid, hn::GatherIndex(df, ws.list_h.data(), index));
-  qu = hn::IfThenElseZero(valid, hn::GatherIndex(df, ws.list_qu.data(), index));
-  qv = hn::IfThenElseZero(valid, hn::GatherIndex(df, ws.list_qv.data(), index));
-}
-
 // Vector k of the batch: from the derivatives of the outputs to those of w, of the texels (put down
 // for scatter), of the texture coordinates, and of the surfel's normal and frame.
 template <bool kLists>
@@ -213,12 +208,16 @@ HWY_INLINE void outputs_backward(BackwardBatch& batch, const SurfelRecord& r, si
   const Vf d = hn::MulAdd(g3, m.channel[3], hn::Mul(g4, m.channel[4]));
   Vf d_w = hn::Add(hn::Add(hn::Add(a, b), hn::Add(c, d)), hn::Add(d_normal, d_mapped));
   if constexpr (kLists) {
-    Vf h, qu, qv;
-    take_listed(hn::Gt(w, zero), batch.at[k], ws, h, qu, qv);
-    const Vf g = grad(kUvDistortion), weighted = hn::Mul(w, g);
-    d_w = hn::MulAdd(g, h, d_w);
-    d_tu = hn::MulAdd(weighted, qu, d_tu);
-    d_tv = hn::MulAdd(weighted, qv, d_tv);
+    // The vector's next entry; 0 where this surfel is not in a pixel's list.
+    const size_t vector = batch.at[k] / kLanes, entry = ws.cursor[vector]++;
+    if (entry < ws.listed[vector]) {
+      const size_t e = vector * ws.list_stride + entry * kEntry;
+      const Mf listed = hn::Gt(load(ws.list.data() + e), zero);
+      const Vf g = hn::IfThenElseZero(listed, grad(kUvDistortion)), weighted = hn::Mul(w, g);
+      d_w = hn::MulAdd(g, load(ws.d_list.data() + e), d_w);
+      d_tu = hn::MulAdd(weighted, load(ws.d_list.data() + e + kLanes), d_tu);
+      d_tv = hn::MulAdd(weighted, load(ws.d_list.data() + e + 2 * kLanes), d_tv);
+    }
   }
   store(d_w, batch.d_w + first);
   store(d_tu, batch.d_tu + first);
@@ -282,12 +281,26 @@ HWY_INLINE void geometry_backward(BackwardBatch& batch, const SurfelRecord& r, s
   add_to(sums.at(SurfelSums::kCenterZ), hn::IfThenElseZero(filtered, d_z));
 }
 
+// Adds the sum of the lanes of each vector to `to`.
+HWY_INLINE void sum_lanes(Sums& sums, float* to) {
+#if HWY_TARGET != HWY_SCALAR && HWY_MAX_BYTES == 32
+  for (int k = 0; k < SurfelSums::kCount; k += 8) {
+    const Channels t = transpose(sums.at(k));
+    const Vf a = hn::Add(hn::Add(t.c0, t.c1), hn::Add(t.c2, t.c3));
+    const Vf b = hn::Add(hn::Add(t.c4, t.c5), hn::Add(t.c6, t.c7));
+    hn::StoreU(hn::Add(hn::LoadU(df, to + k), hn::Add(a, b)), df, to + k);
+  }
+#else
+  for (int k = 0; k < SurfelSums::kCount; ++k)
+    to[k] += hn::GetLane(hn::SumOfLanes(df, load(sums.at(k))));
+#endif
+}
+
 // Adds the open surfel's sums to the frame's and opens the next.
 HWY_INLINE void open_surfel(BackwardBatch& batch, uint32_t surfel) {
   if (batch.open != ~uint32_t{0}) {
     float* to = batch.buffers.sums + static_cast<size_t>(batch.open) * SurfelSums::kCount;
-    for (int k = 0; k < SurfelSums::kCount; ++k)
-      to[k] += hn::GetLane(hn::SumOfLanes(df, load(batch.sums.at(k))));
+    sum_lanes(batch.sums, to);
   }
   std::memset(batch.sums.lanes, 0, sizeof(batch.sums.lanes));
   batch.open = surfel;

@@ -78,8 +78,7 @@ HWY_INLINE void forward_walk(const SurfelScene& scene, const SurfelTile& tile,
     if (hn::AllFalse(df, hit.blended)) return;
     Vf u, v;
     texture_uv(r, hit, u, v);
-    if constexpr (kLists)
-      append(hit.weight, u, v, bits_of(hit.blended), at, scene.uv_threshold, ws);
+    if constexpr (kLists) append(hit.weight, u, v, hit.blended, at, scene.uv_threshold, ws);
     if constexpr (kShade) {
       const size_t k = batch.count++, first = k * kLanes;
       batch.record[k] = &r;

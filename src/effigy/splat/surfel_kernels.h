@@ -16,8 +16,6 @@
 namespace effigy {
 
 inline constexpr size_t kTilePixels = kTileSize * kTileSize;
-inline constexpr int kTilePixelBits = 8;
-static_assert(size_t{1} << kTilePixelBits == kTilePixels);
 inline constexpr size_t kMostPlanes = 32;
 
 // What every tile of a frame shares.
@@ -57,6 +55,7 @@ class AlignedFloats {
   }
   size_t size() const { return size_; }
   float* data() { return data_.get(); }
+  const float* data() const { return data_.get(); }
   float& operator[](size_t i) { return data_[i]; }
   const float& operator[](size_t i) const { return data_[i]; }
 
@@ -77,11 +76,13 @@ struct alignas(64) SurfelWorkspace {
   int64_t pairs = 0;  // blended in the last tile
   size_t used = 0;    // entries walked before every pixel was finished
 
-  // UV distortion: per pixel the weights and uv of its surfels, [entry][pixel].
-  alignas(64) int32_t listed[kTilePixels];  // entries of each pixel
-  alignas(64) int32_t cursor[kTilePixels];
-  uint8_t closed[kTilePixels];  // past the threshold
-  AlignedFloats list_w, list_u, list_v, list_h, list_qu, list_qv;
+  // UV distortion: the lists of every vector of pixels, see uv_distortion-inl.h.
+  AlignedFloats list, d_list;
+  size_t list_stride = 0;
+  size_t listed[kTilePixels];  // entries of each vector
+  size_t cursor[kTilePixels];  // entries that backward has taken
+  bool list_ended[kTilePixels];
+  alignas(64) float list_state[4 * kTilePixels];
 };
 
 // Gradient buffers of one thread.

@@ -41,7 +41,6 @@ constexpr size_t kTexelLanes = hn::MaxLanes(Dt());
 
 constexpr float kMaxAlpha = 0.99f;
 constexpr float kMinTransmittance = 1e-4f;
-constexpr size_t kMostListed = 2400;           // (1 - 1/255)^2400 < kMinTransmittance
 constexpr float kRoundingShift = 12582912.0f;  // 1.5 * 2^23: adding it rounds to an integer
 
 HWY_INLINE Vf set(float x) {
@@ -210,12 +209,25 @@ HWY_INLINE Hit intersect(const SurfelRecord& r, const SurfelRows& rows, const Su
 constexpr size_t kSlots = 64;
 constexpr size_t kBatch = kSlots / kLanes;  // vectors
 
+// For every byte, the indices of its set bits, one a byte, lowest first.
+struct SetBits {
+  uint64_t lanes[256];
+  constexpr SetBits() : lanes() {
+    for (unsigned bits = 0; bits < 256; ++bits) {
+      int count = 0;
+      for (unsigned lane = 0; lane < 8; ++lane)
+        if (bits >> lane & 1u) lanes[bits] |= uint64_t{lane} << (8 * count++);
+    }
+  }
+};
+constexpr SetBits kSetBits;
+
 // Where each slot reads the texture, and what it finds there.
 struct TextureBatch {
-  HWY_ALIGN int32_t index[kSlots];          // upper-left texel
-  HWY_ALIGN float weight[4][kSlots];        // (x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)
-  HWY_ALIGN float texel[8 * kSlots];        // interpolated, slot by slot
-  HWY_ALIGN int32_t slot[kSlots + kLanes];  // the slots that blend
+  HWY_ALIGN int32_t index[kSlots];    // upper-left texel
+  HWY_ALIGN float weight[4][kSlots];  // (x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)
+  HWY_ALIGN float texel[8 * kSlots];  // interpolated, slot by slot
+  uint8_t slot[kSlots + 8];           // the slots that blend
   size_t slots = 0;
 };
 
@@ -393,8 +405,13 @@ HWY_INLINE void put_taps(const Taps& taps, Mf mask, size_t k, TextureBatch& batc
   store(right, batch.weight[1] + first);
   store(below, batch.weight[2] + first);
   store(both, batch.weight[3] + first);
-  batch.slots += hn::CompressStore(hn::Iota(di, static_cast<int32_t>(first)),
-                                   hn::RebindMask(di, mask), di, batch.slot + batch.slots);
+  const uint32_t bits = bits_of(mask);
+  for (size_t byte = 0; byte < kLanes; byte += 8) {
+    const uint64_t lanes = kSetBits.lanes[(bits >> byte) & 255u];
+    const uint64_t slots = lanes + (first + byte) * 0x0101010101010101u;
+    std::memcpy(batch.slot + batch.slots, &slots, sizeof(slots));
+    batch.slots += hwy::PopCount((bits >> byte) & 255u);
+  }
 }
 
 // Looks up the texture for the batch's slots; the others keep what they held (finite).
