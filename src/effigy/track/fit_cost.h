@@ -61,7 +61,6 @@ class BoxManifold : public ceres::Manifold {
   BoxManifold(const Eigen::VectorXd& lower, const Eigen::VectorXd& upper);
   // Decides which parameters are held, from the gradient of the cost at x.
   void hold(const Eigen::VectorXd& x, const Eigen::VectorXd& gradient);
-  int held() const { return AmbientSize() - TangentSize(); }
 
   int AmbientSize() const override { return static_cast<int>(lower_.size()); }
   int TangentSize() const override { return static_cast<int>(free_.size()); }
