@@ -110,7 +110,7 @@ TEST_P(SurfelKernelTest, ForwardAgreesWithTheOracle) {
     expect_planes_near(expected, drawn.gbuffer, kGBufferPlanes);
     // Playback with a lookup for every surfel is the same picture, without the distortion.
     Drawn played;
-    const PlaybackOptions playback{scene.options.near, scene.options.low_pass, 0.0f};
+    const PlaybackOptions playback{scene.options.near, scene.options.low_pass, 0.0f, 0.0f};
     render_surfels_playback(scene.camera, scene.surfels, scene.texture, playback, played.gbuffer,
                             played.frame);
     expect_planes_near(expected, played.gbuffer, kUvDistortion);
@@ -367,7 +367,7 @@ TEST(SurfelPlayback, SharedLookupsAreCloseToALookupForEverySurfel) {
   }
   const auto play = [&](float spread) {
     Drawn drawn;
-    render_surfels_playback(camera, scene.surfels, scene.texture, {0.01f, true, spread},
+    render_surfels_playback(camera, scene.surfels, scene.texture, {0.01f, true, spread, 0.0f},
                             drawn.gbuffer, drawn.frame);
     return drawn.gbuffer;
   };

@@ -30,6 +30,7 @@ struct SurfelScene {
   float uv_threshold = 0.0f;
   float spread = 0.0f;       // playback: texels
   float negligible = 0.0f;   // playback: transmittance below which any run will do
+  float opaque = 0.0f;       // playback: transmittance below which a pixel is done
   bool own_normals = false;  // playback: some frame's normal is not the surfel's own
   // Forward and playback write, backward reads: plane c of pixel (x, y) is at
   // gbuffer[c * plane_size + y * row_size + x].

@@ -174,11 +174,15 @@ void playback_tile(const SurfelScene& scene, const SurfelTile& tile, SurfelWorks
   Alive alive;
   begin_tile(tile, kPlaybackPlanes, kPlaybackT, ws, alive);
   PlaybackBatch batch(scene);
+  const Vf opaque = set(scene.opaque);
   const auto visit = [&](auto low_pass, uint32_t, const SurfelRecord& r, const SurfelRows& rows,
                          const SurfelColumn& column, size_t y, size_t at) HWY_ATTR {
     float* const transmittance = plane_of(ws.block + at * kPlaybackPlanes, kPlaybackT);
-    const Hit hit =
+    Hit hit =
         intersect<decltype(low_pass)::value>(r, rows, column, y, load(transmittance), scene.near);
+    const Mf done = hn::And(hit.blended, hn::Lt(hit.after, opaque));
+    hit.finished = hn::Or(hit.finished, done);
+    hit.after = hn::IfThenZeroElse(done, hit.after);
     update(hit, transmittance, at, alive);
     const uint32_t bits = bits_of(hit.blended);
     if (bits == 0) return;

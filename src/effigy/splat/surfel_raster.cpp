@@ -244,6 +244,7 @@ void render_surfels_playback(const Camera& camera, const PosedSurfels& surfels,
   SurfelScene scene = make_scene(state.view, texture, raster);
   scene.spread = std::max(0.0f, options.spread_texels);
   scene.negligible = options.spread_texels > 0.0f ? kNegligible : 0.0f;
+  scene.opaque = options.opaque;
   scene.own_normals = has_own_normals(state.view);
   draw_tiles(camera, scene, chosen_kernels().playback, state, gbuffer);
   std::fill_n(gbuffer.plane(kUvDistortion), gbuffer.pixels(), 0.0f);

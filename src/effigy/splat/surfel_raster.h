@@ -87,6 +87,9 @@ struct PlaybackOptions {
   float near = 0.01f;
   bool low_pass = true;
   float spread_texels = 1.0f;
+  // A pixel is done once less than this share of light passes what was blended (at most this share
+  // of its colour is left out); 0: as render_surfels.
+  float opaque = 1.0f / 256.0f;
 };
 void render_surfels_playback(const Camera& camera, const PosedSurfels& surfels,
                              const MaterialTexture& texture, const PlaybackOptions& options,
