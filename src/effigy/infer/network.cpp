@@ -4,6 +4,7 @@
 #include <ATen/core/Tensor.h>
 #include <c10/core/InferenceMode.h>
 #include <c10/util/Exception.h>
+#include <dlfcn.h>
 
 #include <algorithm>
 #include <cstring>
@@ -59,7 +60,15 @@ struct Network::State {
 namespace {
 
 // libtorch's own threads would fight with ours: the networks are too small to gain from them.
+// OpenBLAS has threads of its own, which spin while they wait; libtorch does not know of them.
 void use_one_thread() {
+  static const bool once = [] {
+    using SetThreads = void (*)(int);
+    const auto set = reinterpret_cast<SetThreads>(dlsym(RTLD_DEFAULT, "openblas_set_num_threads"));
+    if (set != nullptr) set(1);
+    return true;
+  }();
+  static_cast<void>(once);
   if (at::get_num_threads() != 1) at::set_num_threads(1);
 }
 

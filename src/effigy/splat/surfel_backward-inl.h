@@ -24,12 +24,12 @@ constexpr size_t kRemaining = kGBufferPlanes + 1;
 constexpr size_t kBackwardPlanes = kGBufferPlanes + 2;
 static_assert(kBackwardPlanes <= kMostPlanes);
 
-// The first `lanes` floats at p, then zeros.
-HWY_INLINE Vf load_some(const float* p, size_t lanes) {
-  if (lanes == kLanes) return hn::LoadU(df, p);
-  HWY_ALIGN float some[kLanes] = {};
-  std::copy_n(p, lanes, some);
-  return load(some);
+// One row of a vector's pixels, of which `left` remain in the image; zeros beyond.
+HWY_INLINE hn::Vec<Dw> load_row(const float* p, size_t left) {
+  if (left >= kWide) return hn::LoadU(dw, p);
+  HWY_ALIGN float some[kWide] = {};
+  std::copy_n(p, left, some);
+  return hn::Load(dw, some);
 }
 
 // Loads the tile's derivatives (0 outside the image) and, with the values, the sum of w dL/dw over
@@ -42,18 +42,18 @@ HWY_INLINE void load_derivatives(const SurfelScene& scene, const SurfelTile& til
   for (size_t y = 0; y < static_cast<size_t>(tile.height); ++y) {
     const size_t row =
         (static_cast<size_t>(tile.y) + y) * scene.row_size + static_cast<size_t>(tile.x);
-    for (size_t x = 0; x < static_cast<size_t>(tile.width); x += kLanes) {
-      float* const block = ws.block + (y * kTile + x) * kBackwardPlanes;
-      const size_t lanes = std::min(kLanes, static_cast<size_t>(tile.width) - x);
-      Vf remaining = hn::Zero(df);
+    for (size_t x = 0; x < static_cast<size_t>(tile.width); x += kWide) {
+      const size_t at = (y / kTall * kColumns + x / kWide) * kLanes;
+      float* const block = ws.block + at * kBackwardPlanes + y % kTall * kWide;
+      auto remaining = hn::Zero(dw);
       for (size_t c = 0; c < used; ++c) {
         const size_t from = c * scene.plane_size + row + x;
-        const Vf d = load_some(scene.d_gbuffer + from, lanes);
-        const Vf value = load_some(scene.gbuffer + from, lanes);
-        store(d, block + c * kLanes);
+        const auto d = load_row(scene.d_gbuffer + from, static_cast<size_t>(tile.width) - x);
+        const auto value = load_row(scene.gbuffer + from, static_cast<size_t>(tile.width) - x);
+        hn::Store(d, dw, block + c * kLanes);
         remaining = hn::MulAdd(c == kUvDistortion ? hn::Add(d, d) : d, value, remaining);
       }
-      store(remaining, block + kRemaining * kLanes);
+      hn::Store(remaining, dw, block + kRemaining * kLanes);
     }
   }
 }
@@ -86,10 +86,10 @@ struct BackwardBatch {
   HWY_ALIGN float alpha[kSlots];  // 0 where nothing is blended
   HWY_ALIGN float before[kSlots];
   HWY_ALIGN float dx[kSlots];
+  HWY_ALIGN float dy[kSlots];
   HWY_ALIGN float d_w[kSlots];   // dL/dw
   HWY_ALIGN float d_tu[kSlots];  // dL/d texture uv
   HWY_ALIGN float d_tv[kSlots];
-  float dy[kBatch];
   size_t at[kBatch];
   uint32_t surfel[kBatch];
   size_t count = 0;
@@ -261,7 +261,7 @@ HWY_INLINE void geometry_backward(BackwardBatch& batch, const SurfelRecord& r, s
   const Vf d_depth = hn::Mul(d_z, inverse);
   const Vf z = load(batch.z + first);
   const Vf d_c = hn::Neg(hn::MulAdd(d_a, u, hn::MulAdd(d_b, v, hn::Mul(d_depth, z))));
-  const Vf dx = load(batch.dx + first), dy = set(batch.dy[k]);
+  const Vf dx = load(batch.dx + first), dy = load(batch.dy + first);
   const auto affine = [&](int e, Vf g) HWY_ATTR {
     add_to(sums.at(e), g);
     add_product(sums.at(e + 1), g, dx);
@@ -352,8 +352,8 @@ void backward_tile(const SurfelScene& scene, const SurfelTile& tile, SurfelWorks
     const size_t k = batch.count++, first = k * kLanes;
     batch.surfel[k] = surfel;
     batch.at[k] = at;
-    batch.dy[k] = rows.y[y];
     store(column.dx, batch.dx + first);
+    store(hn::Add(column.dy, set(rows.y[y])), batch.dy + first);
     store(hit.weight, batch.w + first);
     store(hit.z, batch.z + first);
     store(hit.u, batch.u + first);

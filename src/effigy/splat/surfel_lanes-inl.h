@@ -33,7 +33,14 @@ constexpr Df df;
 constexpr Di di;
 constexpr size_t kLanes = hn::MaxLanes(Df());
 constexpr size_t kTile = kTileSize;
-constexpr size_t kColumns = kTile / kLanes;  // vectors in a row of the tile
+// A vector covers kWide x kTall pixels: a compact shape wastes fewer lanes along a surfel's
+// outline. Vector (j, y / kTall) of the tile has the number y / kTall * kColumns + j; its pixels'
+// data start at that number times kLanes ("at").
+constexpr size_t kWide = kLanes < 4 ? kLanes : 4;
+constexpr size_t kTall = kLanes / kWide;
+constexpr size_t kColumns = kTile / kWide;
+using Dw = hn::CappedTag<float, kWide>;  // one row of a vector's pixels
+constexpr Dw dw;
 // One texel: 8 floats in one vector, or in as many as the target needs.
 using Dt = hn::CappedTag<float, 8>;
 constexpr Dt dt;
@@ -92,7 +99,7 @@ struct SurfelRows {
   HWY_ALIGN float b[kTile];
   HWY_ALIGN float c[kTile];
   HWY_ALIGN float y[kTile];  // pixel centre - anchor
-  uint32_t reach[kColumns];  // bit y: row y of this column of vectors
+  uint32_t reach[kColumns];  // bit y: the vector of this column whose top row is y
 };
 
 HWY_INLINE void find_rows(const SurfelRecord& r, const SurfelOutline& o, const SurfelTile& tile,
@@ -102,7 +109,7 @@ HWY_INLINE void find_rows(const SurfelRecord& r, const SurfelOutline& o, const S
   const Vf zero = hn::Zero(df), one = set(1.0f);
   const uint32_t tall = (uint32_t{1} << tile.height) - 1;
   for (size_t j = 0; j < kColumns; ++j)
-    rows.reach[j] = o.everywhere && static_cast<int>(j * kLanes) < tile.width ? tall : 0;
+    rows.reach[j] = o.everywhere && static_cast<int>(j * kWide) < tile.width ? tall : 0;
   for (size_t row = 0; row < kTile; row += kLanes) {
     const Vf y = hn::Iota(df, top + static_cast<float>(row));
     store(hn::MulAdd(set(r.a[2]), y, set(r.a[0])), rows.a + row);
@@ -131,24 +138,40 @@ HWY_INLINE void find_rows(const SurfelRecord& r, const SurfelOutline& o, const S
         hn::Min(hn::Floor(hn::Add(right, to_column)), set(static_cast<float>(tile.width - 1)));
     const Mf some = hn::Le(first, last);
     for (size_t j = 0; j < kColumns; ++j) {
-      const auto begin = static_cast<float>(j * kLanes);
-      const Mf here = hn::And(hn::Le(first, set(begin + static_cast<float>(kLanes - 1))),
+      const auto begin = static_cast<float>(j * kWide);
+      const Mf here = hn::And(hn::Le(first, set(begin + static_cast<float>(kWide - 1))),
                               hn::Ge(last, set(begin)));
       rows.reach[j] |= (bits_of(hn::And(some, here)) << row) & tall;
     }
   }
+  // A vector is reached when one of its rows is.
+  for (size_t j = 0; j < kColumns; ++j) {
+    const uint32_t bits = rows.reach[j];
+    if constexpr (kTall == 2) rows.reach[j] = (bits | bits >> 1) & 0x5555u;
+    if constexpr (kTall == 4) rows.reach[j] = (bits | bits >> 1 | bits >> 2 | bits >> 3) & 0x1111u;
+  }
 }
 
-// One column of vectors as a surfel sees it: dx = pixel centre - anchor, and the affine functions'
-// share of it.
+// Position of each lane in its vector's pixels.
+HWY_INLINE Vf lane_x() {
+  return hn::ConvertTo(df, hn::And(hn::Iota(di, 0), hn::Set(di, static_cast<int32_t>(kWide - 1))));
+}
+HWY_INLINE Vf lane_y() {
+  constexpr int kBits = kWide == 4 ? 2 : 0;
+  return hn::ConvertTo(df, hn::ShiftRight<kBits>(hn::Iota(di, 0)));
+}
+
+// One column of vectors as a surfel sees it: dx = pixel centre - anchor, dy beyond the top row, and
+// the affine functions' share of both.
 struct SurfelColumn {
-  Vf dx, a, b, c;
+  Vf dx, dy, a, b, c;
 
   HWY_INLINE SurfelColumn(const SurfelRecord& r, float first)
-      : dx(hn::Iota(df, first)),
-        a(hn::Mul(set(r.a[1]), dx)),
-        b(hn::Mul(set(r.b[1]), dx)),
-        c(hn::Mul(set(r.c[1]), dx)) {}
+      : dx(hn::Add(lane_x(), set(first))),
+        dy(lane_y()),
+        a(hn::MulAdd(set(r.a[1]), dx, hn::Mul(set(r.a[2]), dy))),
+        b(hn::MulAdd(set(r.b[1]), dx, hn::Mul(set(r.b[2]), dy))),
+        c(hn::MulAdd(set(r.c[1]), dx, hn::Mul(set(r.c[2]), dy))) {}
 };
 
 // One surfel met by a vector of pixels. u, v, z, inverse and weight are 0 in lanes where nothing is
@@ -173,7 +196,7 @@ HWY_INLINE Hit intersect(const SurfelRecord& r, const SurfelRows& rows, const Su
   Mf front = hn::Gt(z, set(near));
   if constexpr (kLowPass) {
     hit.ex = hn::Sub(column.dx, set(r.low_pass_x));
-    hit.ey = set(rows.y[y] - r.low_pass_y);
+    hit.ey = hn::Add(column.dy, set(rows.y[y] - r.low_pass_y));
     const Vf squared = hn::MulAdd(hit.ex, hit.ex, hn::Mul(hit.ey, hit.ey));
     const Vf filtered = hn::Add(squared, squared);
     // Where the plane is not met in front of the camera only the filter counts.
@@ -435,7 +458,7 @@ HWY_INLINE void sample(const TextureGrid& grid, TextureBatch& batch) {
 
 // Which vectors of the tile still have a pixel to fill.
 struct Alive {
-  uint32_t rows[kColumns];  // bit y
+  uint32_t rows[kColumns];  // bit y: the vector whose top row is y
   size_t count;
 };
 
@@ -446,14 +469,14 @@ HWY_INLINE void begin_tile(const SurfelTile& tile, size_t planes, size_t plane, 
   ws.used = 0;
   alive.count = 0;
   for (size_t j = 0; j < kColumns; ++j) alive.rows[j] = 0;
-  for (size_t y = 0; y < kTile; ++y) {
+  for (size_t y = 0; y < kTile; y += kTall) {
     for (size_t j = 0; j < kColumns; ++j) {
-      float* to = ws.block + (y * kTile + j * kLanes) * planes + plane * kLanes;
-      const Vf column = hn::Iota(df, static_cast<float>(j * kLanes));
-      const bool row_inside = static_cast<int>(y) < tile.height;
-      const Mf inside = hn::Lt(column, set(row_inside ? static_cast<float>(tile.width) : 0.0f));
-      store(hn::IfThenElseZero(inside, set(1.0f)), to);
-      if (!row_inside || static_cast<int>(j * kLanes) >= tile.width) continue;
+      const size_t at = (y / kTall * kColumns + j) * kLanes;
+      const auto left = static_cast<float>(tile.width - static_cast<int>(j * kWide));
+      const auto below = static_cast<float>(tile.height - static_cast<int>(y));
+      const Mf inside = hn::And(hn::Lt(lane_x(), set(left)), hn::Lt(lane_y(), set(below)));
+      store(hn::IfThenElseZero(inside, set(1.0f)), ws.block + at * planes + plane * kLanes);
+      if (hn::AllFalse(df, inside)) continue;
       alive.rows[j] |= uint32_t{1} << y;
       ++alive.count;
     }
@@ -464,12 +487,13 @@ HWY_INLINE void begin_tile(const SurfelTile& tile, size_t planes, size_t plane, 
 HWY_INLINE void update(const Hit& hit, float* transmittance, size_t at, Alive& alive) {
   store(hit.after, transmittance);
   if (!hn::AllFalse(df, hit.finished) && hn::AllFalse(df, hn::Gt(hit.after, hn::Zero(df)))) {
-    alive.rows[at % kTile / kLanes] &= ~(uint32_t{1} << (at / kTile));
+    const size_t vector = at / kLanes;
+    alive.rows[vector % kColumns] &= ~(uint32_t{1} << (vector / kColumns * kTall));
     --alive.count;
   }
 }
 
-// Calls visit(low-pass?, surfel, record, rows, column, row, offset in the tile) for every vector of
+// Calls visit(low-pass?, surfel, record, rows, column, top row, at) for every vector of
 // pixels that the tile's surfels reach, front to back, and begin(surfel) before each surfel.
 template <class Visit, class Begin>
 HWY_INLINE void walk(const SurfelScene& scene, const SurfelTile& tile, SurfelWorkspace& ws,
@@ -491,11 +515,11 @@ HWY_INLINE void walk(const SurfelScene& scene, const SurfelTile& tile, SurfelWor
     for (size_t j = 0; j < kColumns; ++j) {
       uint32_t bits = rows.reach[j] & alive.rows[j];
       if (bits == 0) continue;
-      const SurfelColumn column(r, dx0 + static_cast<float>(j * kLanes));
+      const SurfelColumn column(r, dx0 + static_cast<float>(j * kWide));
       const auto each_row = [&](auto low_pass) HWY_ATTR {
         for (; bits != 0; bits &= bits - 1) {
           const size_t y = hwy::Num0BitsBelowLS1Bit_Nonzero32(bits);
-          visit(low_pass, surfel, r, rows, column, y, y * kTile + j * kLanes);
+          visit(low_pass, surfel, r, rows, column, y, (y / kTall * kColumns + j) * kLanes);
         }
       };
       if (scene.low_pass && r.filtered)
@@ -515,12 +539,14 @@ HWY_INLINE void store_tile(const SurfelScene& scene, const SurfelTile& tile, con
     for (size_t y = 0; y < static_cast<size_t>(tile.height); ++y) {
       float* to = scene.gbuffer + c * scene.plane_size +
                   (static_cast<size_t>(tile.y) + y) * scene.row_size + static_cast<size_t>(tile.x);
-      for (size_t x = 0; x < static_cast<size_t>(tile.width); x += kLanes) {
-        const float* from = block + (y * kTile + x) * planes + c * kLanes;
-        if (x + kLanes <= static_cast<size_t>(tile.width))
-          hn::StoreU(load(from), df, to + x);
+      const float* from =
+          block + y / kTall * kTile * kTall * planes + c * kLanes + y % kTall * kWide;
+      for (size_t x = 0; x < static_cast<size_t>(tile.width); x += kWide) {
+        if (x + kWide <= static_cast<size_t>(tile.width))
+          hn::StoreU(hn::Load(dw, from), dw, to + x);
         else
           std::copy_n(from, static_cast<size_t>(tile.width) - x, to + x);
+        from += planes * kLanes;
       }
     }
   }

@@ -4,143 +4,17 @@
 #include <cmath>
 
 #include "effigy/base/error.h"
-#include "effigy/base/simd.h"
 #include "effigy/image/resample.h"
+#include "effigy/track/guided_filter.h"
 
 namespace effigy {
 namespace {
 
 constexpr int kSide = 256;
 
-// Running-sum box mean of a plane, window (2 r + 1)^2 cut at the border. `scale`: 1 / count of each
-// column.
-EFFIGY_CLONES void box_rows(const float* in, float* out, int width, int height, int radius,
-                            const float* scale) {
-  for (int y = 0; y < height; ++y) {
-    const float* row = in + static_cast<size_t>(y) * width;
-    float* result = out + static_cast<size_t>(y) * width;
-    double sum = 0;
-    for (int x = 0; x < std::min(radius, width); ++x) sum += row[x];
-    for (int x = 0; x < width; ++x) {
-      if (x + radius < width) sum += row[x + radius];
-      if (x - radius - 1 >= 0) sum -= row[x - radius - 1];
-      result[x] = static_cast<float>(sum);
-    }
-    for (int x = 0; x < width; ++x) result[x] *= scale[x];
-  }
-}
-
-EFFIGY_CLONES void box_columns(const float* in, float* out, int width, int height, int radius,
-                               float* sum) {
-  std::fill_n(sum, width, 0.0f);
-  for (int y = 0; y < std::min(radius, height); ++y)
-    for (int x = 0; x < width; ++x) sum[x] += in[static_cast<size_t>(y) * width + x];
-  for (int y = 0; y < height; ++y) {
-    if (y + radius < height) {
-      const float* row = in + static_cast<size_t>(y + radius) * width;
-      for (int x = 0; x < width; ++x) sum[x] += row[x];
-    }
-    if (y - radius - 1 >= 0) {
-      const float* row = in + static_cast<size_t>(y - radius - 1) * width;
-      for (int x = 0; x < width; ++x) sum[x] -= row[x];
-    }
-    const int count = std::min(y + radius, height - 1) - std::max(y - radius, 0) + 1;
-    const float scale = 1.0f / static_cast<float>(count);
-    float* result = out + static_cast<size_t>(y) * width;
-    for (int x = 0; x < width; ++x) result[x] = sum[x] * scale;
-  }
-}
-
-class BoxMean {
- public:
-  BoxMean(int width, int height, int radius)
-      : width_(width),
-        height_(height),
-        radius_(radius),
-        rows_(static_cast<size_t>(width) * height),
-        sum_(width) {
-    for (int x = 0; x < width; ++x)
-      scale_.push_back(
-          1.0f / static_cast<float>(std::min(x + radius, width - 1) - std::max(x - radius, 0) + 1));
-  }
-  void operator()(const std::vector<float>& in, std::vector<float>& out) {
-    out.resize(in.size());
-    box_rows(in.data(), rows_.data(), width_, height_, radius_, scale_.data());
-    box_columns(rows_.data(), out.data(), width_, height_, radius_, sum_.data());
-  }
-
- private:
-  int width_, height_, radius_;
-  std::vector<float> rows_, sum_, scale_;
-};
-
-EFFIGY_CLONES void multiply(const float* a, const float* b, float* out, size_t n) {
-  for (size_t i = 0; i < n; ++i) out[i] = a[i] * b[i];
-}
-
-// a = (Sigma + eps)^-1 cov, b = mean_p - a . mean_I, pixel by pixel (Cramer's rule).
-EFFIGY_CLONES void guided_coefficients(const float* const* mean, const float* const* second,
-                                       const float* const* cross, const float* mean_p, float eps,
-                                       float* const* a, float* b, size_t n) {
-  const float *m0 = mean[0], *m1 = mean[1], *m2 = mean[2];
-  const float *s0 = second[0], *s1 = second[1], *s2 = second[2];
-  const float *s3 = second[3], *s4 = second[4], *s5 = second[5];
-  const float *c0 = cross[0], *c1 = cross[1], *c2 = cross[2];
-  float *a0 = a[0], *a1 = a[1], *a2 = a[2];
-#pragma GCC ivdep
-  for (size_t i = 0; i < n; ++i) {
-    const float r = m0[i], g = m1[i], bl = m2[i];
-    const float rr = s0[i] - r * r + eps, rg = s1[i] - r * g;
-    const float rb = s2[i] - r * bl, gg = s3[i] - g * g + eps;
-    const float gb = s4[i] - g * bl, bb = s5[i] - bl * bl + eps;
-    const float cr = c0[i] - r * mean_p[i], cg = c1[i] - g * mean_p[i];
-    const float cb = c2[i] - bl * mean_p[i];
-    const float i00 = gg * bb - gb * gb, i01 = gb * rb - rg * bb, i02 = rg * gb - gg * rb;
-    const float i11 = rr * bb - rb * rb, i12 = rb * rg - rr * gb, i22 = rr * gg - rg * rg;
-    const float inverse = 1.0f / (rr * i00 + rg * i01 + rb * i02);
-    const float ar = (i00 * cr + i01 * cg + i02 * cb) * inverse;
-    const float ag = (i01 * cr + i11 * cg + i12 * cb) * inverse;
-    const float ab = (i02 * cr + i12 * cg + i22 * cb) * inverse;
-    a0[i] = ar;
-    a1[i] = ag;
-    a2[i] = ab;
-    b[i] = mean_p[i] - ar * r - ag * g - ab * bl;
-  }
-}
-
-// Bilinear position of each target pixel in a source of another size.
-struct Taps {
-  std::vector<int> low, high;
-  std::vector<float> fraction;
-  Taps(int target, int source) {
-    for (int i = 0; i < target; ++i) {
-      const double x = std::clamp((i + 0.5) * source / target - 0.5, 0.0, source - 1.0);
-      const int floor = static_cast<int>(x);
-      low.push_back(floor);
-      high.push_back(std::min(floor + 1, source - 1));
-      fraction.push_back(static_cast<float>(x - floor));
-    }
-  }
-};
-
-// One output row: coefficients interpolated between two rows of the small planes (already blended
-// vertically into `row`, 4 interleaved), applied to the picture's colours.
-EFFIGY_CLONES void apply_row(const float* row, const int* low, const int* high,
-                             const float* fraction, const uint8_t* pixels, int width, float* out) {
-  for (int x = 0; x < width; ++x) {
-    const float *p = row + 4 * low[x], *q = row + 4 * high[x];
-    const float f = fraction[x];
-    float c[4];
-    for (int k = 0; k < 4; ++k) c[k] = p[k] + f * (q[k] - p[k]);
-    const float value =
-        (c[0] * static_cast<float>(pixels[3 * x]) + c[1] * static_cast<float>(pixels[3 * x + 1]) +
-         c[2] * static_cast<float>(pixels[3 * x + 2])) *
-            (1.0f / 255.0f) +
-        c[3];
-    // Levels: the filter leaves a haze around the edge and a little transparency within.
-    out[x] = std::min(std::max((value - 0.12f) * (1.0f / 0.78f), 0.0f), 1.0f);
-  }
-}
+// Levels of the refined matte: the filter leaves a haze around the edge and a little transparency
+// within.
+constexpr float kHaze = 0.12f, kOpaque = 0.9f;
 
 }  // namespace
 
@@ -247,54 +121,10 @@ Image refine_matte(const Image8& picture, const Image& coarse, int working_side,
           : crop_resize(picture, 0, 0, picture.width, picture.height, width, height);
   const Image matte =
       coarse.width == width && coarse.height == height ? coarse : resize(coarse, width, height);
-  const size_t n = static_cast<size_t>(width) * height;
-  std::vector<float> colour[3];
-  for (int c = 0; c < 3; ++c) {
-    colour[c].resize(n);
-    for (size_t i = 0; i < n; ++i)
-      colour[c][i] = static_cast<float>(guide.data[3 * i + c]) * (1.0f / 255.0f);
-  }
-  BoxMean mean(width, height,
-               std::max(1, static_cast<int>(std::lround(radius * std::max(width, height)))));
-  std::vector<float> mean_colour[3], second[6], cross[3], mean_matte, product(n);
-  mean(matte.data, mean_matte);
-  int k = 0;
-  for (int c = 0; c < 3; ++c) {
-    mean(colour[c], mean_colour[c]);
-    multiply(colour[c].data(), matte.data.data(), product.data(), n);
-    mean(product, cross[c]);
-    for (int d = c; d < 3; ++d) {
-      multiply(colour[c].data(), colour[d].data(), product.data(), n);
-      mean(product, second[k++]);
-    }
-  }
-  std::vector<float> a[3] = {std::vector<float>(n), std::vector<float>(n), std::vector<float>(n)};
-  std::vector<float> b(n);
-  const float* means[3] = {mean_colour[0].data(), mean_colour[1].data(), mean_colour[2].data()};
-  const float* seconds[6] = {second[0].data(), second[1].data(), second[2].data(),
-                             second[3].data(), second[4].data(), second[5].data()};
-  const float* crosses[3] = {cross[0].data(), cross[1].data(), cross[2].data()};
-  float* results[3] = {a[0].data(), a[1].data(), a[2].data()};
-  guided_coefficients(means, seconds, crosses, mean_matte.data(), static_cast<float>(epsilon),
-                      results, b.data(), n);
-  std::vector<float> interleaved(4 * n);
-  std::vector<float> smooth;
-  for (int c = 0; c < 4; ++c) {
-    mean(c < 3 ? a[c] : b, smooth);
-    for (size_t i = 0; i < n; ++i) interleaved[4 * i + c] = smooth[i];
-  }
-  Image out(picture.width, picture.height, 1);
-  const Taps columns(picture.width, width), rows(picture.height, height);
-  std::vector<float> blended(4 * static_cast<size_t>(width));
-  for (int y = 0; y < picture.height; ++y) {
-    const float* p = interleaved.data() + 4 * static_cast<size_t>(rows.low[y]) * width;
-    const float* q = interleaved.data() + 4 * static_cast<size_t>(rows.high[y]) * width;
-    for (size_t i = 0; i < blended.size(); ++i)
-      blended[i] = p[i] + rows.fraction[y] * (q[i] - p[i]);
-    apply_row(blended.data(), columns.low.data(), columns.high.data(), columns.fraction.data(),
-              picture.at(0, y), picture.width, out.at(0, y));
-  }
-  return out;
+  const int reach = std::max(1, static_cast<int>(std::lround(radius * std::max(width, height))));
+  const std::vector<float> coefficients =
+      guided_coefficients(guide, matte, reach, static_cast<float>(epsilon));
+  return apply_guided(picture, coefficients, width, height, kHaze, kOpaque);
 }
 
 namespace {
@@ -395,11 +225,11 @@ Image8 head_matte(const Image& matte, const HeadRegion& region) {
   // Soft pixels belong to what they border on: keep those within reach of a connected one.
   const bool any = std::find(inside.begin(), inside.end(), 1) != inside.end();
   const int reach = std::max(2, std::max(matte.width, matte.height) / 64);
-  std::vector<float> near(inside.begin(), inside.end()), spread;
-  if (any) BoxMean(matte.width, matte.height, reach)(near, spread);
+  std::vector<float> near(inside.begin(), inside.end()), spread(near.size());
+  if (any) box_mean(near, matte.width, matte.height, reach, spread);
   for (size_t i = 0; i < out.data.size(); ++i) {
     const bool keep = !any || spread[i] > 1e-6f;
-    out.data[i] = keep ? static_cast<uint8_t>(std::lround(255.0f * cut.data[i])) : 0;
+    out.data[i] = keep ? static_cast<uint8_t>(255.0f * cut.data[i] + 0.5f) : 0;
   }
   return out;
 }
