@@ -125,7 +125,10 @@ FrameTarget some_target(const FitModel& model, uint64_t seed) {
   for (int i = 0; i < model.point_count(); ++i) {
     target.seen.emplace_back(random.uniform(-60, 60), random.uniform(-60, 60));
     target.weight.push_back(i % 4 == 0 ? 0.0 : random.uniform(0.1, 0.6));
+    target.depth.push_back(random.uniform(-20, 20));
+    target.depth_weight.push_back(i % 3 == 0 ? 0.0 : random.uniform(0.1, 0.3));
   }
+  target.depth_scale = 700;
   target.prior_mean = random_vector(model.frame_size(), 0.1, seed + 1);
   target.prior_weight = random_vector(model.frame_size(), 1.0, seed + 2).cwiseAbs();
   target.lower = Eigen::VectorXd::Constant(model.frame_size(), -1e9);
@@ -166,12 +169,48 @@ TEST(FrameCost, JacobianMatchesDifferences) {
     }
 }
 
+TEST(FrameCost, DepthsHaveNoPlaceOfTheirOwn) {
+  // The networks' depths count from any plane: moving all of them, or the head, changes nothing.
+  const Rig rig = test::small_rig(6, 16, 15, false);
+  const FitModel model = FitModel(rig, entries(rig)).with_identity(std::vector<double>(3).data());
+  FrameTarget target = some_target(model, 16);
+  target.weight.assign(target.weight.size(), 0.0);
+  target.prior_weight.setZero();
+  target.eye_weight = 0;
+  Eigen::VectorXd frame = random_vector(model.frame_size(), 0.1, 17);
+  frame[2] = -0.7;
+  const auto cost_of = [&](const FrameTarget& t, const Eigen::VectorXd& x) {
+    const FrameCost cost(model, t, 2.0, 500);
+    std::vector<double> residuals(cost.num_residuals());
+    const double* block = x.data();
+    EXPECT_TRUE(cost.Evaluate(&block, residuals.data(), nullptr));
+    double sum = 0;
+    for (const double r : residuals) sum += r * r;
+    return sum;
+  };
+  const double before = cost_of(target, frame);
+  EXPECT_GT(before, 1.0);
+  FrameTarget moved = target;
+  for (double& d : moved.depth) d += 33;
+  EXPECT_NEAR(cost_of(moved, frame), before, 1e-9 * before);
+  Eigen::VectorXd nearer = frame;
+  nearer.head<3>() += Vec3d(0.1, -0.2, 0.3);
+  EXPECT_NEAR(cost_of(target, nearer), before, 1e-9 * before);
+  // The depths of the model itself leave nothing.
+  FitModel::Result result;
+  model.evaluate(nullptr, frame.data(), false, false, result);
+  for (int i = 0; i < model.point_count(); ++i)
+    target.depth[i] = target.depth_scale * result.position(i, 2) + 12;
+  EXPECT_NEAR(cost_of(target, frame), 0, 1e-15);
+}
+
 TEST(FrameCost, RobustCostIsSoftL1) {
   const Rig rig = test::small_rig(6, 16, 15, false);
   const FitModel model = FitModel(rig, entries(rig)).with_identity(std::vector<double>(3).data());
   FrameTarget target = some_target(model, 16);
   target.prior_weight.setZero();
   target.eye_weight = 0;
+  target.depth_weight.assign(target.depth_weight.size(), 0.0);
   Eigen::VectorXd frame = Eigen::VectorXd::Zero(model.frame_size());
   frame[2] = -0.7;
   const double limit = 2.0, focal = 500;
@@ -250,6 +289,7 @@ TEST(Box, GaussNewtonEndsWhereNothingPushesInwards) {
   const Rig rig = test::small_rig(7, 60, 21, false);
   const FitModel model = FitModel(rig, entries(rig)).with_identity(std::vector<double>(3).data());
   FrameTarget target = some_target(model, 22);
+  target.depth_weight.assign(target.depth_weight.size(), 0.0);
   // Targets: the projection of a face with expressions outside the limits.
   Eigen::VectorXd truth = Eigen::VectorXd::Zero(model.frame_size());
   truth[2] = -0.7;
@@ -375,7 +415,7 @@ TEST(Fit, FollowsAKnownHead) {
   ASSERT_GE(scene.rig.mediapipe.size(), 50U);
   FitOptions options;
   options.key_frames = 12;
-  const FitResult fit = fit_rig(scene.rig, scene.frames, scene.width, scene.height, options);
+  const FitResult fit = fit_rig(scene.rig, scene.frames, {}, scene.width, scene.height, options);
   ASSERT_EQ(fit.poses.size(), scene.frames.size());
   EXPECT_EQ(fit.error[30], -1.0) << "a frame without a face has no error";
   EXPECT_EQ(fit.poses[30].expression, fit.poses[29].expression) << "it keeps the last pose";
@@ -401,7 +441,7 @@ TEST(Fit, FollowsAKnownHead) {
     EXPECT_LT(axis_angle_of(off).norm(), 0.06) << f;
     // The mouth is as open as it was, by whatever shapes and joints.
     EXPECT_NEAR(mouth_gap(scene.rig, fit.identity, fit.poses[f]),
-                mouth_gap(scene.rig, scene.identity, scene.poses[f]), 0.0025)
+                mouth_gap(scene.rig, scene.identity, scene.poses[f]), 0.0032)
         << f;
   }
   for (const RigPose& pose : fit.poses)
@@ -411,12 +451,80 @@ TEST(Fit, FollowsAKnownHead) {
     }
 }
 
+// The similarity that takes points to points of the plane exactly, from two of each.
+PlaneSimilarity similarity_of(const Vec2d& a0, const Vec2d& a1, const Vec2d& b0, const Vec2d& b1) {
+  return fit_similarity({a0.x(), a0.y(), a1.x(), a1.y()}, {b0.x(), b0.y(), b1.x(), b1.y()});
+}
+
+TEST(Fit, ShouldersFollowTheTorso) {
+  // The head turns about a neck that is not where the rig has it.
+  Scene scene = make_scene(60, 0.2);
+  const Vec3d shift(0, -0.012, -0.018);
+  Rig truth = scene.rig;
+  const int neck = truth.joint("neck");
+  shift_joint(truth, scene.identity, neck, shift);
+  const RigShape shape = shape_rig(truth, scene.identity);
+  EXPECT_NEAR(
+      shape.joints[3 * neck + 2] - shape_rig(scene.rig, scene.identity).joints[3 * neck + 2],
+      shift.z(), 1e-6);
+  const Camera camera = fit_camera(scene.focal, scene.width, scene.height);
+  std::vector<TorsoMotion> torso;
+  std::vector<std::vector<Vec2d>> ring(scene.frames.size());
+  for (size_t f = 0; f < scene.frames.size(); ++f) {
+    std::vector<float> vertices;
+    RigPose pose = scene.poses[f];
+    pose.joint_rotation[3 * neck] *= 2;
+    pose_vertices(shape, pose, vertices);
+    const auto points = landmark_positions(truth.mediapipe, truth.mesh.triangles, vertices);
+    for (size_t l = 0; l < truth.mediapipe.size(); ++l) {
+      const Vec3d p = Vec3f(points.data() + 3 * l).cast<double>();
+      const Vec2d pixel = camera.project(p);
+      float* out = scene.frames[f].landmarks.data() + 3 * truth.mediapipe.index[l];
+      out[0] = static_cast<float>(pixel.x());
+      out[1] = static_cast<float>(pixel.y());
+      out[2] = static_cast<float>(-(p.z() + 1.0) * scene.focal / 1.05);
+    }
+    for (const int v : truth.neck_ring)
+      ring[f].push_back(camera.project(Vec3f(&vertices[3 * v]).cast<double>()));
+    const size_t half = ring[f].size() / 2;
+    torso.push_back({true, similarity_of(ring[0][0], ring[0][half], ring[f][0], ring[f][half])});
+  }
+  FitOptions options;
+  options.key_frames = 12;
+  const auto worst = [&](const std::vector<TorsoMotion>& motion) {
+    const FitResult fit =
+        fit_rig(scene.rig, scene.frames, motion, scene.width, scene.height, options);
+    Rig rig = scene.rig;
+    shift_joint(rig, fit.identity, neck, fit.neck_shift);
+    const RigShape fitted = shape_rig(rig, fit.identity);
+    const Camera seen = fit_camera(fit.focal, scene.width, scene.height);
+    // How much the ring moves otherwise than it should, whatever its size.
+    double most = 0;
+    Vec2d first = Vec2d::Zero();
+    for (size_t f = 0; f < scene.frames.size(); ++f) {
+      std::vector<float> vertices;
+      pose_vertices(fitted, fit.poses[f], vertices);
+      Vec2d off = Vec2d::Zero();
+      for (size_t k = 0; k < ring[f].size(); ++k)
+        off +=
+            (seen.project(Vec3f(&vertices[3 * truth.neck_ring[k]]).cast<double>()) - ring[f][k]) /
+            static_cast<double>(ring[f].size());
+      if (f == 0) first = off;
+      if (scene.frames[f].found) most = std::max(most, (off - first).norm());
+    }
+    return most;
+  };
+  const double followed = worst(torso), left = worst({});
+  EXPECT_GT(left, 6.0);
+  EXPECT_LT(followed, 4.0);
+}
+
 TEST(Fit, SameBitsTwice) {
   const Scene scene = make_scene(24, 0.3);
   FitOptions options;
   options.key_frames = 6;
-  const FitResult a = fit_rig(scene.rig, scene.frames, scene.width, scene.height, options);
-  const FitResult b = fit_rig(scene.rig, scene.frames, scene.width, scene.height, options);
+  const FitResult a = fit_rig(scene.rig, scene.frames, {}, scene.width, scene.height, options);
+  const FitResult b = fit_rig(scene.rig, scene.frames, {}, scene.width, scene.height, options);
   EXPECT_EQ(a.identity, b.identity);
   EXPECT_EQ(a.focal, b.focal);
   for (size_t f = 0; f < a.poses.size(); ++f) {
@@ -428,10 +536,10 @@ TEST(Fit, SameBitsTwice) {
 TEST(Fit, RefusesWhatItCannotFit) {
   Scene scene = make_scene(3, 0.0);
   for (FaceObservation& frame : scene.frames) frame.found = false;
-  EXPECT_THROW(fit_rig(scene.rig, scene.frames, 640, 480, {}), Error);
+  EXPECT_THROW(fit_rig(scene.rig, scene.frames, {}, 640, 480, {}), Error);
   scene = make_scene(3, 0.0);
   scene.rig.mediapipe = {};
-  EXPECT_THROW(fit_rig(scene.rig, scene.frames, 640, 480, {}), Error);
+  EXPECT_THROW(fit_rig(scene.rig, scene.frames, {}, 640, 480, {}), Error);
 }
 
 }  // namespace

@@ -8,7 +8,8 @@
 namespace effigy {
 
 HeadRenderer::HeadRenderer(const HeadAvatar& avatar)
-    : avatar_(avatar), light_(Prefilter(avatar.environment.size).forward(avatar.environment)) {
+    : avatar_(avatar),
+      light_(pack_environment(Prefilter(avatar.environment.size).forward(avatar.environment))) {
   set_pose(RigPose::rest(avatar.rig));
 }
 

@@ -2,6 +2,7 @@
 #pragma once
 
 #include "effigy/avatar/head_avatar.h"
+#include "effigy/light/packed_environment.h"
 #include "effigy/shade/deferred.h"
 
 namespace effigy {
@@ -11,7 +12,7 @@ class HeadRenderer {
   // Keeps a reference to `avatar`; starts in its training light and rest pose.
   explicit HeadRenderer(const HeadAvatar& avatar);
 
-  void set_light(PrefilteredEnvironment light) { light_ = std::move(light); }
+  void set_light(const PrefilteredEnvironment& light) { light_ = pack_environment(light); }
   void set_pose(const RigPose& pose);
   // Exact: every intersection looks up the texture. Playback: one lookup where the UVs agree.
   void set_exact(bool exact) { exact_ = exact; }
@@ -26,7 +27,7 @@ class HeadRenderer {
 
  private:
   const HeadAvatar& avatar_;
-  PrefilteredEnvironment light_;
+  PackedEnvironment light_;
   bool exact_ = true;
   std::vector<float> vertices_;
   PosedSurfels posed_;

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "effigy/head/silhouette.h"
+#include "effigy/head/start_texture.h"
 
 namespace effigy {
 namespace {
@@ -83,6 +84,8 @@ HeadModel initial_model(const Capture& capture, const TrainSettings& settings) {
                                            TextureLossSettings{}.outside);
   model.environment.assign(static_cast<size_t>(6) * kEnvironmentSize * kEnvironmentSize * 3,
                            std::log(0.7f));
+  if (settings.start_from_frames)
+    start_from_frames(capture, settings, spread_frames(frames, 40), model);
   return model;
 }
 

@@ -43,6 +43,7 @@ void visit_settings(Settings& s, Visit&& visit) {
   visit("weight.laplacian", s.weights.laplacian);
   visit("weight.rig", s.weights.rig);
   visit("weight.expression", s.weights.expression);
+  visit("weight.environment", s.weights.environment);
   visit("uv_distortion", s.uv_distortion);
   visit("uv_distortion_start", s.uv_distortion_start);
   visit("uv_distortion_threshold", s.uv_distortion_threshold);
@@ -52,8 +53,10 @@ void visit_settings(Settings& s, Visit&& visit) {
   visit("splat_normal_frame", s.splat_normal_frame);
   visit("jacobian_to_vertices", s.jacobian_to_vertices);
   visit("fit_silhouette", s.fit_silhouette);
+  visit("start_from_frames", s.start_from_frames);
   visit("refine_expression", s.refine_expression);
   visit("refine_pose", s.refine_pose);
+  visit("hold_mean_pose", s.hold_mean_pose);
   visit("refine_rig", s.refine_rig);
   visit("final_rate_factor", s.final_rate_factor);
   visit("final_part", s.final_part);
@@ -82,7 +85,7 @@ TrainSettings TrainSettings::from_preset(const std::string& name) {
   TrainSettings s;
   s.preset = name;
   if (name == "quick") {
-    s.iterations = 3000;
+    s.iterations = 4000;
     s.uv_distortion_start = 500;
   } else if (name == "standard") {
     s.iterations = 12000;
@@ -106,7 +109,10 @@ void TrainSettings::make_paper_literal() {
   jacobian_to_vertices = false;
   refine_pose = false;
   fit_silhouette = false;
+  start_from_frames = false;
+  hold_mean_pose = false;
   final_rate_factor = 1;
+  weights.environment = 0;
 }
 
 Json to_json(const TrainSettings& settings) {

@@ -21,9 +21,9 @@ struct LearningRates {
   double template_vertices = 1e-5;  // metres
   double weights = 1e-4;
   double basis = 1e-6;  // metres per unit: expression and pose bases
-  double frame_expression = 2e-3;
-  double frame_rotation = 2e-4;     // radians
-  double frame_translation = 2e-5;  // metres
+  double frame_expression = 5e-3;
+  double frame_rotation = 8e-4;     // radians
+  double frame_translation = 8e-5;  // metres
 };
 
 // Weights of the losses (Table 3b with decisions in metres).
@@ -39,6 +39,7 @@ struct LossWeights {
   double laplacian = 3200;
   double rig = 0.001;
   double expression = 0.01;
+  double environment = 0.01;  // variance of the log radiance over directions and channels
 };
 
 struct TrainSettings {
@@ -58,8 +59,10 @@ struct TrainSettings {
   bool splat_normal_frame = false;  // Eq. 7's frame instead of the UV-aligned one
   bool jacobian_to_vertices = false;
   bool fit_silhouette = true;      // start at the mattes' outline (head/silhouette.h)
+  bool start_from_frames = true;   // start albedo and light from the frames (head/start_texture.h)
   bool refine_expression = true;   // per training frame
   bool refine_pose = true;         // per training frame (rotation, neck, eyes, translation)
+  bool hold_mean_pose = true;      // what all frames' refinements share is taken back each epoch
   bool refine_rig = true;          // template, bases, weights
   double final_rate_factor = 0.1;  // rates in the last part of the run, 1: constant
   double final_part = 0.2;         // that part, as a share of the iterations

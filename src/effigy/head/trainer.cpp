@@ -44,11 +44,34 @@ HeadTrainer::State::State(const Capture& capture_in, const TrainSettings& settin
 // Frames come in a new random order each epoch; the order depends on seed and epoch only.
 int HeadTrainer::State::next_frame() {
   if (next == frames.size()) {
-    if (!frames.empty()) ++epoch;
+    if (!frames.empty()) {
+      ++epoch;
+      if (settings.hold_mean_pose) hold_mean_pose();
+    }
     shuffle_frames();
     next = 0;
   }
   return frames[next++];
+}
+
+// Takes the mean of all refinements of the training frames' parameters back: what all frames share
+// belongs into the rig and the surfels, or it is missing when the avatar is driven by tracking.
+void HeadTrainer::State::hold_mean_pose() {
+  const size_t size = pose_size(capture.rig);
+  std::vector<double> mean(size, 0.0);
+  std::vector<float> refined(size), tracked(size);
+  const std::vector<int> train = capture.train_frames();
+  for (const int frame : train) {
+    pack_pose(model.poses[frame], refined);
+    pack_pose(capture.poses[frame], tracked);
+    for (size_t k = 0; k < size; ++k)
+      mean[k] += (refined[k] - tracked[k]) / static_cast<double>(train.size());
+  }
+  for (const int frame : train) {
+    pack_pose(model.poses[frame], refined);
+    for (size_t k = 0; k < size; ++k) refined[k] -= static_cast<float>(mean[k]);
+    unpack_pose(refined, model.poses[frame]);
+  }
 }
 
 void HeadTrainer::State::shuffle_frames() {

@@ -69,6 +69,7 @@ struct HeadTrainer::State {
 
   int next_frame();
   void shuffle_frames();
+  void hold_mean_pose();
   LossValues step();
   double rate_factor() const;
   SurfelRasterOptions raster_options() const;
@@ -76,7 +77,8 @@ struct HeadTrainer::State {
   void image_losses(LossValues& losses);
   void surfel_losses(LossValues& losses);
   void update_surfels();
-  void update_environment(const PrefilteredEnvironment& d_light);
+  double even_light_loss(std::vector<float>& d_log_radiance) const;
+  void update_environment(const PrefilteredEnvironment& d_light, LossValues& losses);
   void update_material(LossValues& losses);
   void update_rig(int frame, const RigPose& tracked, LossValues& losses);
   void update_pose(int frame, const RigPose& tracked, const RigGradient& gradient,

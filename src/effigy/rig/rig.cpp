@@ -1,5 +1,6 @@
 #include "effigy/rig/rig.h"
 
+#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 #include <span>
@@ -193,6 +194,22 @@ RigShape shape_rig(const Rig& rig, std::span<const float> identity) {
     for (int axis = 0; axis < 3; ++axis) shape.joints.push_back(static_cast<float>(joint[axis]));
   }
   return shape;
+}
+
+void shift_joint(Rig& rig, std::span<const float> identity, int joint, const Vec3d& shift) {
+  EFFIGY_CHECK(joint >= 0 && joint < rig.joint_count());
+  const std::vector<float> rest = shape_rig(rig, identity).rest;
+  const size_t vertices = rest.size() / 3;
+  const auto row_of = [&](size_t v) {
+    return Eigen::Vector4d(1, rest[3 * v], rest[3 * v + 1], rest[3 * v + 2]);
+  };
+  // Minimum of |change|^2 with sum(change) = 0 and sum(change v) = shift.
+  Eigen::Matrix4d normal = Eigen::Matrix4d::Zero();
+  for (size_t v = 0; v < vertices; ++v) normal += row_of(v) * row_of(v).transpose();
+  const Eigen::Vector4d multiplier =
+      normal.ldlt().solve(Eigen::Vector4d(0, shift.x(), shift.y(), shift.z()));
+  float* row = rig.joint_regressor.data() + static_cast<size_t>(joint) * vertices;
+  for (size_t v = 0; v < vertices; ++v) row[v] += static_cast<float>(row_of(v).dot(multiplier));
 }
 
 void pose_vertices(const RigShape& shape, const RigPose& pose, std::vector<float>& vertices) {

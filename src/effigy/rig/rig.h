@@ -75,6 +75,10 @@ struct RigShape {
 // identity may be shorter than identity_count (the rest is zero).
 RigShape shape_rig(const Rig& rig, std::span<const float> identity);
 
+// Moves a joint of the shape at `identity` by `shift` (metres): the smallest change of its row of
+// the regressor that does so, the row's sum kept.
+void shift_joint(Rig& rig, std::span<const float> identity, int joint, const Vec3d& shift);
+
 // Posed vertices (3V) into `vertices`.
 void pose_vertices(const RigShape& shape, const RigPose& pose, std::vector<float>& vertices);
 

@@ -3,6 +3,7 @@
 #include <ceres/problem.h>
 #include <ceres/solver.h>
 
+#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 #include <memory>
@@ -12,12 +13,14 @@
 #include "effigy/base/progress.h"
 #include "effigy/base/threads.h"
 #include "effigy/track/fit_box.h"
+#include "effigy/track/fit_neck.h"
 #include "effigy/track/fit_setup.h"
 
 namespace effigy {
 namespace {
 
 constexpr int kSharedRounds = 8, kSharedIterations = 4, kKeySteps = 6, kFirstKeySteps = 15;
+constexpr int kPointRounds = 6;
 constexpr double kSharedTolerance = 2e-3, kFrameTolerance = 3e-3;
 constexpr int kChunk = 40;  // frames that follow each other; fixed, so that threads change nothing
 
@@ -152,6 +155,66 @@ Shared solve_shared(const FitSetup& setup, const Rig& rig, const std::vector<int
   return shared;
 }
 
+// Where each landmark lies on this person, beside the rig's point of it: the networks' points and
+// the identity space differ from a face by the same millimetres in every frame, which would turn
+// the head as soon as it looks elsewhere. Alternates with the key frames' own parameters.
+void settle_points(const FitSetup& setup, const std::vector<int>& keys, double focal,
+                   const FitOptions& options, FitModel& model) {
+  const int points = model.point_count(), neck = setup.neck();
+  std::vector<FrameTarget> targets(keys.size());
+  std::vector<Eigen::VectorXd> frames(keys.size());
+  for (size_t k = 0; k < keys.size(); ++k) {
+    targets[k] = setup.target(keys[k]);
+    frames[k] = setup.first_guess(keys[k], model, focal);
+  }
+  std::vector<Vec3d> shift(points, Vec3d::Zero());
+  for (int round = 0; round < kPointRounds; ++round) {
+    throw_if_interrupted();
+    parallel_for(keys.size(), 1, [&](size_t begin, size_t end, int) {
+      for (size_t k = begin; k < end; ++k)
+        solve_frame(model, targets[k], focal, options, round == 0 ? kFirstKeySteps : kKeySteps,
+                    frames[k]);
+    });
+    std::vector<Mat3d> normal(points);
+    std::vector<Vec3d> right(points);
+    for (int i = 0; i < points; ++i) {
+      const double sigma = std::max(setup.freedom(i) * options.point_sigma, 1e-9);
+      normal[i] = Mat3d::Identity() / (sigma * sigma);
+      right[i] = -shift[i] / (sigma * sigma);
+    }
+    for (size_t k = 0; k < keys.size(); ++k) {
+      FitModel::Result result;
+      model.evaluate(nullptr, frames[k].data(), false, false, result);
+      Mat3d turn = rotation_of(frames[k].segment<3>(model.rotation_begin(0)), nullptr);
+      if (neck > 0)
+        turn = turn * rotation_of(frames[k].segment<3>(model.rotation_begin(neck)), nullptr);
+      for (int i = 0; i < points; ++i) {
+        if (setup.freedom(i) <= 0) continue;
+        const Vec3d world = result.position.row(i).transpose();
+        const double inverse = -1 / std::min(world.z(), -1e-3);
+        const Vec2d pixel(focal * world.x() * inverse, -focal * world.y() * inverse);
+        Eigen::Matrix<double, 2, 3> derivative;
+        derivative << focal * inverse, 0, pixel.x() * inverse, 0, -focal * inverse,
+            pixel.y() * inverse;
+        const Vec2d error = targets[k].weight[i] * (targets[k].seen[i] - pixel);
+        const double size = error.squaredNorm() / (options.robust_at * options.robust_at);
+        const double robust = 1 / std::sqrt(1 + size);  // soft-L1
+        const Eigen::Matrix<double, 2, 3> d = targets[k].weight[i] * derivative * turn;
+        normal[i] += robust * d.transpose() * d;
+        right[i] += robust * d.transpose() * error;
+      }
+    }
+    for (int i = 0; i < points; ++i) {
+      const Vec3d step = normal[i].ldlt().solve(right[i]);
+      shift[i] += step;
+      model.shift_point(i, step);
+    }
+  }
+  double sum = 0;
+  for (const Vec3d& s : shift) sum += s.squaredNorm() / points;
+  log_debug(format("fit: landmarks lie {:.2f} mm beside the rig's (RMS)", 1000 * std::sqrt(sum)));
+}
+
 // Pulls `target` towards `mean` as well, with 1 / sigma = `weight`.
 void add_prior(FrameTarget& target, const Eigen::VectorXd& mean, const Eigen::VectorXd& weight) {
   for (Eigen::Index k = 0; k < mean.size(); ++k) {
@@ -162,15 +225,14 @@ void add_prior(FrameTarget& target, const Eigen::VectorXd& mean, const Eigen::Ve
   }
 }
 
-// All tracked frames, chunk by chunk in the order of time; then once more, each towards the mean of
-// its neighbours, which smooths without delay.
+// All tracked frames by their landmarks, chunk by chunk in the order of time.
 std::vector<Eigen::VectorXd> solve_frames(const FitSetup& setup, const FitModel& model,
-                                          double focal, const FitOptions& options) {
+                                          double focal, const FitOptions& options,
+                                          std::vector<FrameTarget>& targets) {
   const std::vector<int>& tracked = setup.tracked();
   const size_t count = tracked.size();
   std::vector<Eigen::VectorXd> frames(count);
-  std::vector<FrameTarget> targets(count);
-  const Eigen::VectorXd smooth = setup.smoothness();
+  targets.resize(count);
   const size_t chunks = (count + kChunk - 1) / kChunk;
   parallel_for(chunks, 1, [&](size_t begin, size_t end, int) {
     for (size_t chunk = begin; chunk < end; ++chunk) {
@@ -184,6 +246,32 @@ std::vector<Eigen::VectorXd> solve_frames(const FitSetup& setup, const FitModel&
       }
     }
   });
+  return frames;
+}
+
+// The torso's points join the frame's targets.
+void add_torso(const FitSetup& setup, const TorsoTargets& torso, size_t frame,
+               const FitOptions& options, FrameTarget& target) {
+  const bool seen = !torso.anchors.empty() && !torso.seen[frame].empty();
+  for (size_t k = 0; k < torso.anchors.size(); ++k) {
+    target.seen.push_back(seen ? torso.seen[frame][k] : Vec2d::Zero());
+    target.weight.push_back(seen ? 1 / (options.torso_point_sigma * setup.pixel_sigma()) : 0.0);
+    target.depth.push_back(0);
+    target.depth_weight.push_back(0);
+  }
+  if (seen)
+    target.prior_weight.segment<3>(setup.model().rotation_begin(0))
+        .setConstant(1 / options.followed_torso_sigma);
+}
+
+// Every frame once more, towards the mean of its neighbours, which smooths without delay.
+std::vector<Eigen::VectorXd> smooth_frames(const FitSetup& setup, const FitModel& model,
+                                           double focal, const FitOptions& options,
+                                           const std::vector<Eigen::VectorXd>& frames,
+                                           std::vector<FrameTarget>& targets) {
+  const std::vector<int>& tracked = setup.tracked();
+  const size_t count = tracked.size();
+  const Eigen::VectorXd smooth = setup.smoothness();
   std::vector<Eigen::VectorXd> result(count);
   parallel_for(count, 8, [&](size_t begin, size_t end, int) {
     for (size_t i = begin; i < end; ++i) {
@@ -199,12 +287,19 @@ std::vector<Eigen::VectorXd> solve_frames(const FitSetup& setup, const FitModel&
         weight += w;
       }
       result[i] = frames[i];
-      if (weight < 0.9) continue;  // at the ends and beside gaps
-      add_prior(targets[i], mean / weight, smooth);
+      if (weight > 0.9) add_prior(targets[i], mean / weight, smooth);  // not beside gaps
       solve_frame(model, targets[i], focal, options, 2, result[i]);
     }
   });
   return result;
+}
+
+std::vector<Vec3d> neck_ring_at_rest(const Rig& rig, const std::vector<float>& identity) {
+  const RigShape shape = shape_rig(rig, identity);
+  std::vector<Vec3d> ring;
+  for (const int v : rig.neck_ring)
+    ring.push_back(Vec3f(&shape.rest[3 * static_cast<size_t>(v)]).cast<double>());
+  return ring;
 }
 
 // Mean distance of the chosen points to where the network saw them.
@@ -235,7 +330,8 @@ Camera fit_camera(double focal, int width, int height) {
   return camera;
 }
 
-FitResult fit_rig(const Rig& rig, const std::vector<FaceObservation>& frames, int width, int height,
+FitResult fit_rig(const Rig& rig, const std::vector<FaceObservation>& frames,
+                  const std::vector<TorsoMotion>& torso, int width, int height,
                   const FitOptions& options) {
   const FitSetup setup(rig, frames, width, height, options);
   FitResult fit;
@@ -243,10 +339,18 @@ FitResult fit_rig(const Rig& rig, const std::vector<FaceObservation>& frames, in
   const Shared shared = solve_shared(setup, rig, fit.key_frames, options);
   fit.focal = shared.focal;
   for (const double value : shared.identity) fit.identity.push_back(static_cast<float>(value));
-  const FitModel model = setup.model().with_identity(shared.identity.data());
-  const std::vector<Eigen::VectorXd> solved = solve_frames(setup, model, shared.focal, options);
+  FitModel model = setup.model().with_identity(shared.identity.data());
+  if (options.point_sigma > 0) settle_points(setup, fit.key_frames, shared.focal, options, model);
+  std::vector<FrameTarget> targets;
+  std::vector<Eigen::VectorXd> solved = solve_frames(setup, model, shared.focal, options, targets);
+  const TorsoTargets below = follow_torso(setup, torso, neck_ring_at_rest(rig, fit.identity),
+                                          shared.focal, options, model, solved);
+  for (size_t i = 0; i < targets.size(); ++i) add_torso(setup, below, i, options, targets[i]);
+  solved = smooth_frames(setup, model, shared.focal, options, solved, targets);
+  fit.neck_shift = below.neck_shift;
 
-  const FitModel all_points = setup.all_points().with_identity(shared.identity.data());
+  FitModel all_points = setup.all_points().with_identity(shared.identity.data());
+  all_points.shift_joint(setup.neck(), fit.neck_shift);
   fit.error.assign(frames.size(), -1.0);
   fit.heldout_error.assign(frames.size(), -1.0);
   fit.poses.assign(frames.size(), setup.pose_of(solved[0]));

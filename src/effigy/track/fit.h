@@ -8,6 +8,7 @@
 #include "effigy/geometry/types.h"
 #include "effigy/rig/rig.h"
 #include "effigy/track/face.h"
+#include "effigy/track/torso.h"
 
 namespace effigy {
 
@@ -16,10 +17,20 @@ struct FitOptions {
   // Standard deviations of the model. Distances in the picture are relative to the distance between
   // the outer corners of the eyes.
   double landmark_sigma = 0.012;
+  // Of the networks' depths, in landmark_sigma: the picture alone hardly tells a nod from an
+  // expression.
+  double depth_sigma = 1.5;
   double robust_at = 3.0;  // soft-L1 beyond this many sigmas
   // Radians. The head turns on the neck; the root, which carries the shoulders, hardly turns from
   // its median over the video.
   double torso_sigma = 0.03, neck_sigma = 0.6;
+  // Where the torso is seen: its points, relative to landmark_sigma; radians that the root may turn
+  // to follow it; metres by which the neck may turn elsewhere than in the rig, sideways and in its
+  // plane of symmetry.
+  double torso_point_sigma = 0.5, followed_torso_sigma = 0.1;
+  double neck_side_sigma = 0.003, neck_shift_sigma = 0.015;
+  // Metres that a landmark's point of this person may lie beside the rig's, over the whole video.
+  double point_sigma = 0.003;
   double expression_sigma = 0.25;  // of its range, about the network's score (0 without one)
   double distance = 1.0;          // metres from camera to face, typically: decides the focal length
   double log_focal_sigma = 0.05;  // about the focal length that belongs to that distance
@@ -30,9 +41,10 @@ struct FitOptions {
 };
 
 struct FitResult {
-  double focal = 0;             // pixels of the frame; the principal point is its centre
-  std::vector<float> identity;  // rig.identity_count
-  std::vector<RigPose> poses;   // one a frame; untracked frames repeat their nearest neighbour
+  double focal = 0;                  // pixels of the frame; the principal point is its centre
+  std::vector<float> identity;       // rig.identity_count
+  std::vector<RigPose> poses;        // one a frame; untracked frames repeat their nearest neighbour
+  Vec3d neck_shift = Vec3d::Zero();  // the joint "neck" of the rest pose has to be moved by it
   // Per frame, pixels of the frame, -1 when untracked: mean distance between network and projected
   // rig over the inner 51 of the 68 landmarks, and over the landmarks that were kept out of the
   // fit.
@@ -45,9 +57,10 @@ struct FitResult {
 Camera fit_camera(double focal, int width, int height);
 
 // `width`, `height`: of the frames in which the landmarks were seen. Landmarks of frames with
-// found == false are not used. Throws Error when no frame has a face or the rig has fewer than 12
-// landmark points.
-FitResult fit_rig(const Rig& rig, const std::vector<FaceObservation>& frames, int width, int height,
+// found == false are not used. `torso`: one a frame, or empty. Throws Error when no frame has a
+// face or the rig has fewer than 12 landmark points.
+FitResult fit_rig(const Rig& rig, const std::vector<FaceObservation>& frames,
+                  const std::vector<TorsoMotion>& torso, int width, int height,
                   const FitOptions& options);
 
 // The network's scores as a starting guess for a rig's expression: matched by ARKit name ("_L" and

@@ -28,7 +28,7 @@ Vec2d project(const Vec3d& p, double focal, Eigen::Matrix<double, 2, 3>* derivat
 FrameCost::FrameCost(const FitModel& model, const FrameTarget& target, double robust_at,
                      double fixed_focal)
     : model_(model), target_(target), robust_at_(robust_at), fixed_focal_(fixed_focal) {
-  set_num_residuals(2 * model.point_count() + model.frame_size() + 3);
+  set_num_residuals(3 * model.point_count() + model.frame_size() + 3);
   if (fixed_focal <= 0) {
     mutable_parameter_block_sizes()->push_back(1);
     if (model.identity_count() > 0) {
@@ -111,7 +111,46 @@ bool FrameCost::Evaluate(double const* const* parameters, double* residuals,
       to_frame(eyes + c, right) = -target_.eye_weight;
     }
   }
+  evaluate_depths(result, residuals + eyes + 3,
+                  d_frame != nullptr ? d_frame + static_cast<size_t>(eyes + 3) * size : nullptr,
+                  d_identity != nullptr
+                      ? d_identity + static_cast<size_t>(eyes + 3) * model_.identity_count()
+                      : nullptr);
   return true;
+}
+
+void FrameCost::evaluate_depths(const FitModel::Result& result, double* residuals, double* d_frame,
+                                double* d_identity) const {
+  const int points = model_.point_count();
+  std::fill_n(residuals, points, 0.0);
+  double sum = 0, mean_z = 0, mean_seen = 0;
+  for (int i = 0; i < points; ++i) {
+    const double w = target_.depth_weight[i];
+    sum += w;
+    mean_z += w * result.position(i, 2);
+    mean_seen += w * target_.depth[i];
+  }
+  if (sum <= 0) return;
+  mean_z /= sum;
+  mean_seen /= sum;
+  const double scale = target_.depth_scale;
+  const auto rows = [&](double* jacobian, const FitModel::Matrix& positions) {
+    if (jacobian == nullptr || positions.cols() == 0) return;
+    const Eigen::Index columns = positions.cols();
+    Eigen::RowVectorXd mean = Eigen::RowVectorXd::Zero(columns);
+    for (int i = 0; i < points; ++i)
+      if (target_.depth_weight[i] != 0)
+        mean += target_.depth_weight[i] / sum * positions.row(3 * i + 2);
+    Eigen::Map<RowMatrix> to(jacobian, points, columns);
+    for (int i = 0; i < points; ++i)
+      if (target_.depth_weight[i] != 0)
+        to.row(i) = target_.depth_weight[i] * scale * (positions.row(3 * i + 2) - mean);
+  };
+  for (int i = 0; i < points; ++i)
+    residuals[i] = target_.depth_weight[i] *
+                   (scale * (result.position(i, 2) - mean_z) - (target_.depth[i] - mean_seen));
+  rows(d_frame, result.d_frame);
+  rows(d_identity, result.d_identity);
 }
 
 PriorCost::PriorCost(Eigen::VectorXd mean, Eigen::VectorXd weight)

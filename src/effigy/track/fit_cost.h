@@ -13,8 +13,11 @@ namespace effigy {
 
 // What one frame contributes.
 struct FrameTarget {
-  std::vector<Vec2d> seen;            // per point of the model, pixels from the principal point
-  std::vector<double> weight;         // 1 / sigma in pixels; 0 leaves the point out
+  std::vector<Vec2d> seen;     // per point of the model, pixels from the principal point
+  std::vector<double> weight;  // 1 / sigma in pixels; 0 leaves the point out
+  // Per point: distance towards the camera, pixels, from any plane; 1 / sigma, or 0.
+  std::vector<double> depth, depth_weight;
+  double depth_scale = 0;             // pixels a metre, for the depths
   Eigen::VectorXd prior_mean;         // frame_size: where each parameter is expected
   Eigen::VectorXd prior_weight;       // 1 / sigma; 0 for none
   Eigen::VectorXd lower, upper;       // frame_size: limits of each parameter
@@ -23,7 +26,8 @@ struct FrameTarget {
 };
 
 // Reprojection of all points (2 residuals each, robust by the square root of soft-L1, so that
-// Gauss-Newton sees the true cost), then the prior (frame_size), then the eyes' difference (3).
+// Gauss-Newton sees the true cost), then the prior (frame_size), then the eyes' difference (3),
+// then the points' depths beside their weighted mean (1 each).
 //
 // Parameter blocks: [log focal, identity (left out when the model has none), frame], or, with a
 // fixed focal length, [frame]; the model then has its identity folded in. Points behind the camera
@@ -36,6 +40,9 @@ class FrameCost : public ceres::CostFunction {
                 double** jacobians) const override;
 
  private:
+  void evaluate_depths(const FitModel::Result& result, double* residuals, double* d_frame,
+                       double* d_identity) const;
+
   const FitModel& model_;
   const FrameTarget& target_;
   double robust_at_, fixed_focal_;

@@ -122,6 +122,23 @@ FitModel::FitModel(const Rig& rig, const std::vector<int>& points)
   first_part_.push_back(static_cast<int>(parts_.size()));
 }
 
+void FitModel::shift_point(int point, const Vec3d& shift) {
+  for (int p = first_part_[point]; p < first_part_[point + 1]; ++p)
+    parts_[p].rest += parts_[p].mass * shift;
+}
+
+void FitModel::add_point(int joint, const Vec3d& rest) {
+  Part part;
+  part.joint = joint;
+  part.mass = 1;
+  part.rest = rest;
+  part.identity.setZero(3, identity_count_);
+  part.expression.setZero(3, expression_count_);
+  part.pose.resize(3, 0);
+  parts_.push_back(std::move(part));
+  first_part_.push_back(static_cast<int>(parts_.size()));
+}
+
 FitModel FitModel::with_identity(const double* identity) const {
   FitModel baked = *this;
   const Eigen::Map<const Eigen::VectorXd> beta(identity, identity_count_);

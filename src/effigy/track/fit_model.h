@@ -27,6 +27,15 @@ class FitModel {
   int rotation_begin(int joint) const { return 3 + 3 * joint; }
   int expression_begin() const { return 3 + 3 * joint_count(); }
 
+  // Moves a joint of the rest pose (that of a model with its identity folded in, or of identity 0).
+  void shift_joint(int joint, const Vec3d& shift) { joints_[joint] += shift; }
+  // Moves a point of the rest pose.
+  void shift_point(int point, const Vec3d& shift);
+  // One more point, at `rest` and carried by `joint` alone.
+  void add_point(int joint, const Vec3d& rest);
+  // Of the rest pose, at identity 0.
+  Vec3d joint_position(int joint) const { return joints_[joint]; }
+
   // The same points with the identity folded in: identity_count() is 0 and each step is cheaper.
   FitModel with_identity(const double* identity) const;
 

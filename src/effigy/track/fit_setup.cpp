@@ -172,6 +172,14 @@ FitSetup::FitSetup(const Rig& rig, const std::vector<FaceObservation>& frames, i
   }
 }
 
+double FitSetup::freedom(int point) const {
+  const int number = rig_.mediapipe.index[used_[point]];
+  if (is_iris(number)) return 0;
+  const bool moves = among(mediapipe::kLips, number) || among(mediapipe::kEyeRight, number) ||
+                     among(mediapipe::kEyeLeft, number);
+  return moves ? 0.25 : 1.0;
+}
+
 Vec2d FitSetup::seen(int f, int point) const {
   const float* p = frames_[f].landmarks.data() + 3 * static_cast<size_t>(point);
   return {p[0] - center_x_, p[1] - center_y_};
@@ -247,6 +255,7 @@ FrameTarget FitSetup::target(int f) const {
   double scale = 1;
   Vec3d unused_a, unused_b;
   const Mat3d rotation = similarity(f, model_, &scale, &unused_a, &unused_b);
+  target.depth_scale = scale;
   for (size_t i = 0; i < used_.size(); ++i) {
     const int point = rig_.mediapipe.index[used_[i]];
     const bool known = 3 * static_cast<size_t>(point) + 2 < frames_[f].landmarks.size();
@@ -255,6 +264,9 @@ FrameTarget FitSetup::target(int f) const {
     const double facing = (rotation * normal_[i]).z();
     const double visible = std::clamp((facing + 0.1) / 0.4, 0.1, 1.0);
     target.weight.push_back(known ? importance_[i] * visible / pixel_sigma_ : 0.0);
+    target.depth.push_back(known ? -frames_[f].landmarks[3 * static_cast<size_t>(point) + 2] : 0.0);
+    target.depth_weight.push_back(is_iris(point) ? 0.0
+                                                 : target.weight.back() / options_.depth_sigma);
   }
   const int size = model_.frame_size();
   target.prior_mean = Eigen::VectorXd::Zero(size);

@@ -16,10 +16,17 @@ class FitSetup {
   const FitModel& model() const { return model_; }            // points of the fit
   const FitModel& all_points() const { return all_points_; }  // all points of rig.mediapipe
   double typical_focal() const { return typical_focal_; }
+  double pixel_sigma() const { return pixel_sigma_; }  // of a landmark
+  int neck() const { return neck_; }                   // joint that turns the head; 0: the root
+  const Vec3d& torso() const { return torso_; }        // the root's rotation, median of the video
+  Vec2d center() const { return {center_x_, center_y_}; }       // principal point
   const std::vector<int>& tracked() const { return tracked_; }  // frames with a face
   const std::vector<bool>& inner() const { return inner_; }     // per entry of rig.mediapipe
   const std::vector<bool>& held_out() const { return held_out_; }
 
+  // Share of options.point_sigma by which a point of model() may lie elsewhere on this person. Lips
+  // and lids hardly: the mean expression would go there. Irises not.
+  double freedom(int point) const;
   // Everything about frame f but the temporal prior. `rotation`: rough head rotation, for
   // visibility.
   FrameTarget target(int f) const;

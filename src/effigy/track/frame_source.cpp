@@ -1,8 +1,17 @@
 #include "effigy/track/frame_source.h"
 
+#include <algorithm>
+#include <cmath>
 #include <utility>
 
+#include "effigy/image/resample.h"
+
 namespace effigy {
+namespace {
+
+constexpr double kSquare = 0.005;  // pixels that differ less from squares are taken as they are
+
+}  // namespace
 
 FrameSource::FrameSource(const Path& path, int most, int ahead)
     : reader_(path), most_(most), ahead_(ahead), thread_([this] { decode(); }) {}
@@ -23,6 +32,11 @@ void FrameSource::decode() {
       Frame frame;
       frame.number = number;
       if (!reader_.next(frame.picture, &frame.seconds)) break;
+      const double aspect = reader_.info().pixel_aspect;
+      if (std::abs(aspect - 1) > kSquare)
+        frame.picture = resize(
+            frame.picture, std::max(1, static_cast<int>(std::lround(frame.picture.width * aspect))),
+            frame.picture.height);
       std::unique_lock lock(mutex_);
       changed_.wait(lock, [this] { return stop_ || static_cast<int>(ready_.size()) < ahead_; });
       if (stop_) return;

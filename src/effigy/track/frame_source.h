@@ -1,4 +1,4 @@
-// Video frames decoded ahead on another thread.
+// Video frames decoded ahead on another thread, with square pixels: others are stretched in width.
 #pragma once
 
 #include <condition_variable>

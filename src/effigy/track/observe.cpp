@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 
 #include "effigy/base/error.h"
 #include "effigy/base/log.h"
@@ -74,6 +75,9 @@ void check_observation(const VideoObservation& seen, const std::string& video, b
 VideoObservation observe_video(const Path& video, const ModelSet& models,
                                const TrackOptions& options) {
   FaceTracker tracker(models);
+  std::optional<PersonSegmenter> segmenter;
+  if (!options.matte) segmenter.emplace(models);
+  TorsoFollower torso(segmenter ? &*segmenter : nullptr);
   VideoObservation seen;
   FrameSource source(video, options.most_frames);
   seen.frames_per_second = source.info().frames_per_second;
@@ -93,6 +97,7 @@ VideoObservation observe_video(const Path& video, const ModelSet& models,
     }
     seen.seconds.push_back(frame.seconds);
     seen.frames.push_back(tracker.observe(frame.picture));
+    seen.torso.push_back(torso.follow(frame.picture, seen.frames.back()));
     progress.update(frame.number + 1);
   }
   progress.finish();

@@ -6,6 +6,7 @@
 
 #include "effigy/infer/models.h"
 #include "effigy/track/face.h"
+#include "effigy/track/torso.h"
 #include "effigy/track/track.h"
 
 namespace effigy {
@@ -15,6 +16,7 @@ struct VideoObservation {
   double frames_per_second = 0;
   std::vector<double> seconds;          // of each frame
   std::vector<FaceObservation> frames;  // landmarks smoothed over time
+  std::vector<TorsoMotion> torso;       // of each frame
   int landmark_count = 0, most_faces = 0;
   int tracked() const;
 };
