@@ -1,5 +1,7 @@
 #include "effigy/head/trainer.h"
 
+#include <cmath>
+
 #include "effigy/base/safetensors.h"
 #include "effigy/base/threads.h"
 #include "effigy/head/evaluate.h"
@@ -102,6 +104,61 @@ TEST(Trainer, WholeRunWritesAnAvatarThatScoresTheSame) {
   EXPECT_GT(scores.mean().coverage, 0.8);
   const auto refined = evaluate_refined(avatar, capture, capture.test_frames(), 5);
   EXPECT_GE(refined.mean().psnr, scores.mean().psnr - 0.3);
+}
+
+// Variance of the log radiance.
+double unevenness(const Cubemap& light) {
+  double mean = 0, square = 0;
+  for (const float x : light.texels) mean += std::log(x) / static_cast<double>(light.texels.size());
+  for (const float x : light.texels) square += std::pow(std::log(x) - mean, 2);
+  return square / static_cast<double>(light.texels.size());
+}
+
+TEST(Trainer, TheLightIsHeldEven) {
+  test::ScratchFolder scratch;
+  test::write_tiny_capture(scratch.path());
+  const Capture capture = read_capture(scratch.path());
+  TrainSettings settings = tiny_settings();
+  settings.weights.environment = 0;
+  HeadTrainer free(capture, settings);
+  settings.weights.environment = 10;
+  HeadTrainer held(capture, settings);
+  LossValues losses;
+  for (int i = 0; i < 40; ++i) {
+    free.step();
+    losses = held.step();
+  }
+  const double variance = unevenness(held.avatar().environment);
+  EXPECT_NEAR(losses.at("environment"), variance, 0.3 * variance + 1e-6);
+  EXPECT_LT(variance, 0.25 * unevenness(free.avatar().environment));
+}
+
+TEST(Trainer, WhatAllFramesShareIsTakenBack) {
+  test::ScratchFolder scratch;
+  test::write_tiny_capture(scratch.path());
+  const Capture capture = read_capture(scratch.path());
+  const std::vector<int> frames = capture.train_frames();
+  // Mean and spread of the refinements of the x translation.
+  const auto refined = [&](bool hold) {
+    TrainSettings settings = tiny_settings();
+    settings.hold_mean_pose = hold;
+    settings.rates.frame_translation = 1e-3;
+    HeadTrainer trainer(capture, settings);
+    for (size_t i = 0; i < 6 * frames.size() + 1; ++i) trainer.step();
+    const std::vector<RigPose> poses = trainer.avatar().tracks["train"].poses;
+    double mean = 0, spread = 0;
+    for (const int f : frames) {
+      const double moved = poses[f].translation[2] - capture.poses[f].translation[2];
+      mean += moved / static_cast<double>(frames.size());
+      spread += std::abs(moved) / static_cast<double>(frames.size());
+    }
+    return std::pair(std::abs(mean), spread);
+  };
+  const auto [held_mean, held_spread] = refined(true);
+  const auto [free_mean, free_spread] = refined(false);
+  EXPECT_GT(held_spread, 1e-4);
+  EXPECT_LT(held_mean, 3e-4);  // one step after the mean was taken back
+  EXPECT_GT(free_mean, held_mean);
 }
 
 TEST(Trainer, OneTrainingFrameIsRefused) {
