@@ -169,6 +169,53 @@ TEST(FrameCost, JacobianMatchesDifferences) {
     }
 }
 
+TEST(FrameCost, ContrastsPullPointsToWhereTheyLookRight) {
+  // A picture of a smooth blob; the points expect what they see at the true pose.
+  const Rig rig = test::small_rig(7, 40, 21, false);
+  FitModel model = FitModel(rig, {}).with_identity(std::vector<double>(3).data());
+  model.add_points(rig, shape_rig(rig, {}), rig.mediapipe);
+  Image8 picture(512, 512, 3);
+  for (int y = 0; y < 512; ++y)
+    for (int x = 0; x < 512; ++x)
+      for (int c = 0; c < 3; ++c)
+        picture.at(x, y)[c] = static_cast<uint8_t>(127 + 60 * std::sin(0.09 * x + 0.02 * y) +
+                                                   60 * std::cos(0.11 * y - 0.03 * x));
+  FaceObservation face;
+  face.found = true;
+  face.landmarks.assign(3 * 478, 256.0f);
+  face.landmarks[3 * 10 + 1] = 150;
+  face.landmarks[3 * 152 + 1] = 350;
+  const PhotoWindow window = photo_window(picture, face);
+  FrameTarget target;
+  const int size = model.frame_size();
+  target.prior_mean = target.prior_weight = Eigen::VectorXd::Zero(size);
+  target.lower = Eigen::VectorXd::Constant(size, -1e9);
+  target.upper = Eigen::VectorXd::Constant(size, 1e9);
+  target.photo = &window;
+  target.center = Vec2d(256, 256);
+  Eigen::VectorXd truth = Eigen::VectorXd::Zero(size);
+  truth.head<3>() = Vec3d(0.004, -0.003, -0.7);
+  const double focal = 700;
+  FitModel::Result result;
+  model.evaluate(nullptr, truth.data(), false, false, result);
+  for (int i = 0; i < model.point_count(); ++i) {
+    const Vec3d p = result.position.row(i).transpose();
+    double value = 0;
+    Vec2d slope;
+    const bool seen = window.sample(
+        Vec2d(-focal * p.x() / p.z(), focal * p.y() / p.z()) + target.center, &value, &slope);
+    target.photo_value.push_back(static_cast<float>(value));
+    target.photo_weight.push_back(seen ? 50.0f : 0.0f);
+  }
+  // Only the place is free.
+  target.prior_weight.tail(size - 3).setConstant(1e4);
+  Eigen::VectorXd frame = truth;
+  frame.head<2>() += Vec2d(0.006, -0.005);  // 6 and 5 pixels
+  const FrameCost cost(model, target, 3.0, focal);
+  minimise_in_box(cost, target.lower, target.upper, 20, 1e-8, frame);
+  EXPECT_LT((frame - truth).head<2>().norm(), 2e-4);
+}
+
 TEST(FrameCost, DepthsHaveNoPlaceOfTheirOwn) {
   // The networks' depths count from any plane: moving all of them, or the head, changes nothing.
   const Rig rig = test::small_rig(6, 16, 15, false);
@@ -493,7 +540,7 @@ TEST(Fit, ShouldersFollowTheTorso) {
   options.key_frames = 12;
   const auto worst = [&](const std::vector<TorsoMotion>& motion) {
     const FitResult fit =
-        fit_rig(scene.rig, scene.frames, motion, scene.width, scene.height, options);
+        fit_rig(scene.rig, scene.frames, {motion, {}}, scene.width, scene.height, options);
     Rig rig = scene.rig;
     shift_joint(rig, fit.identity, neck, fit.neck_shift);
     const RigShape fitted = shape_rig(rig, fit.identity);

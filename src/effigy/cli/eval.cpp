@@ -26,7 +26,7 @@ int run_eval(int argc, char** argv) {
   app.add_option("--protocol", protocol, "tracker, refined or all (default)")
       ->check(CLI::IsMember({"tracker", "tracked", "refined", "all"}));
   app.add_option("--refine-steps", options.refine_steps,
-                 "Steps of the protocol refined (default 20)")
+                 "Steps of the protocol refined (default 60)")
       ->check(CLI::Range(1, 1000));
   app.add_option("--frames", options.most_frames, "Score at most this many frames, evenly spread")
       ->check(CLI::PositiveNumber);

@@ -15,7 +15,7 @@ namespace effigy {
 
 struct EvaluationOptions {
   bool refined = true;  // also the protocol `refined`
-  int refine_steps = 20;
+  int refine_steps = 60;
   int most_frames = 0;                                                 // 0: all held-out frames
   std::vector<std::string> lights = {"studio", "overcast", "sunset"};  // relit in the report
 };

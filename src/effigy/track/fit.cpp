@@ -14,13 +14,14 @@
 #include "effigy/base/threads.h"
 #include "effigy/track/fit_box.h"
 #include "effigy/track/fit_neck.h"
+#include "effigy/track/fit_photo.h"
 #include "effigy/track/fit_setup.h"
 
 namespace effigy {
 namespace {
 
 constexpr int kSharedRounds = 8, kSharedIterations = 4, kKeySteps = 6, kFirstKeySteps = 15;
-constexpr int kPointRounds = 6;
+constexpr int kPointRounds = 6, kPhotoRounds = 4;
 constexpr double kSharedTolerance = 2e-3, kFrameTolerance = 3e-3;
 constexpr int kChunk = 40;  // frames that follow each other; fixed, so that threads change nothing
 
@@ -264,11 +265,13 @@ void add_torso(const FitSetup& setup, const TorsoTargets& torso, size_t frame,
         .setConstant(1 / options.followed_torso_sigma);
 }
 
-// Every frame once more, towards the mean of its neighbours, which smooths without delay.
+// Every frame once more, `steps` steps from where it is; `smoothly`: towards the mean of its
+// neighbours, which smooths without delay.
 std::vector<Eigen::VectorXd> smooth_frames(const FitSetup& setup, const FitModel& model,
                                            double focal, const FitOptions& options,
                                            const std::vector<Eigen::VectorXd>& frames,
-                                           std::vector<FrameTarget>& targets) {
+                                           std::vector<FrameTarget> targets, bool smoothly,
+                                           int steps) {
   const std::vector<int>& tracked = setup.tracked();
   const size_t count = tracked.size();
   const Eigen::VectorXd smooth = setup.smoothness();
@@ -287,8 +290,9 @@ std::vector<Eigen::VectorXd> smooth_frames(const FitSetup& setup, const FitModel
         weight += w;
       }
       result[i] = frames[i];
-      if (weight > 0.9) add_prior(targets[i], mean / weight, smooth);  // not beside gaps
-      solve_frame(model, targets[i], focal, options, 2, result[i]);
+      if (smoothly && weight > 0.9)
+        add_prior(targets[i], mean / weight, smooth);  // not beside gaps
+      solve_frame(model, targets[i], focal, options, steps, result[i]);
     }
   });
   return result;
@@ -330,9 +334,8 @@ Camera fit_camera(double focal, int width, int height) {
   return camera;
 }
 
-FitResult fit_rig(const Rig& rig, const std::vector<FaceObservation>& frames,
-                  const std::vector<TorsoMotion>& torso, int width, int height,
-                  const FitOptions& options) {
+FitResult fit_rig(const Rig& rig, const std::vector<FaceObservation>& frames, const FitViews& views,
+                  int width, int height, const FitOptions& options) {
   const FitSetup setup(rig, frames, width, height, options);
   FitResult fit;
   fit.key_frames = setup.choose_key_frames(options.key_frames);
@@ -343,14 +346,23 @@ FitResult fit_rig(const Rig& rig, const std::vector<FaceObservation>& frames,
   if (options.point_sigma > 0) settle_points(setup, fit.key_frames, shared.focal, options, model);
   std::vector<FrameTarget> targets;
   std::vector<Eigen::VectorXd> solved = solve_frames(setup, model, shared.focal, options, targets);
-  const TorsoTargets below = follow_torso(setup, torso, neck_ring_at_rest(rig, fit.identity),
+  const TorsoTargets below = follow_torso(setup, views.torso, neck_ring_at_rest(rig, fit.identity),
                                           shared.focal, options, model, solved);
   for (size_t i = 0; i < targets.size(); ++i) add_torso(setup, below, i, options, targets[i]);
-  solved = smooth_frames(setup, model, shared.focal, options, solved, targets);
+  solved = smooth_frames(setup, model, shared.focal, options, solved, targets, true, 2);
+  FitModel all_points = setup.all_points().with_identity(shared.identity.data());
+  all_points.shift_joint(setup.neck(), below.neck_shift);
+  if (options.photo_sigma > 0 && views.photos.size() == frames.size()) {
+    const PhotoFit photo(rig, fit.identity, setup, views.photos, shared.focal, options, model);
+    for (int round = 0; round < kPhotoRounds; ++round) {
+      std::vector<FrameTarget> seen = targets;
+      photo.expect(solved, seen);
+      solved = smooth_frames(setup, model, shared.focal, options, solved, seen,
+                             round + 1 == kPhotoRounds, 1);
+    }
+  }
   fit.neck_shift = below.neck_shift;
 
-  FitModel all_points = setup.all_points().with_identity(shared.identity.data());
-  all_points.shift_joint(setup.neck(), fit.neck_shift);
   fit.error.assign(frames.size(), -1.0);
   fit.heldout_error.assign(frames.size(), -1.0);
   fit.poses.assign(frames.size(), setup.pose_of(solved[0]));

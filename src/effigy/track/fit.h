@@ -8,6 +8,7 @@
 #include "effigy/geometry/types.h"
 #include "effigy/rig/rig.h"
 #include "effigy/track/face.h"
+#include "effigy/track/photo.h"
 #include "effigy/track/torso.h"
 
 namespace effigy {
@@ -20,7 +21,10 @@ struct FitOptions {
   // Of the networks' depths, in landmark_sigma: the picture alone hardly tells a nod from an
   // expression.
   double depth_sigma = 1.5;
-  double robust_at = 3.0;  // soft-L1 beyond this many sigmas
+  // Of the contrast of a point of the skin (track/photo.h); 0: landmarks alone.
+  double photo_sigma = 0.01;
+  double photo_landmarks = 0.4;  // landmarks and depths count by so much beside it
+  double robust_at = 3.0;        // soft-L1 beyond this many sigmas
   // Radians. The head turns on the neck; the root, which carries the shoulders, hardly turns from
   // its median over the video.
   double torso_sigma = 0.03, neck_sigma = 0.6;
@@ -38,6 +42,12 @@ struct FitOptions {
   double smooth_rotation = 0.006;                            // radians
   double smooth_expression = 0.12;                           // of the range
   bool hold_out = true;  // every fifth landmark stays unseen, for an honest error
+};
+
+// What is seen beside the landmarks; each one a frame, or empty.
+struct FitViews {
+  std::vector<TorsoMotion> torso;
+  std::vector<PhotoWindow> photos;
 };
 
 struct FitResult {
@@ -59,9 +69,8 @@ Camera fit_camera(double focal, int width, int height);
 // `width`, `height`: of the frames in which the landmarks were seen. Landmarks of frames with
 // found == false are not used. `torso`: one a frame, or empty. Throws Error when no frame has a
 // face or the rig has fewer than 12 landmark points.
-FitResult fit_rig(const Rig& rig, const std::vector<FaceObservation>& frames,
-                  const std::vector<TorsoMotion>& torso, int width, int height,
-                  const FitOptions& options);
+FitResult fit_rig(const Rig& rig, const std::vector<FaceObservation>& frames, const FitViews& views,
+                  int width, int height, const FitOptions& options);
 
 // The network's scores as a starting guess for a rig's expression: matched by ARKit name ("_L" and
 // "_R" endings count as Left and Right; unsided scores serve both sides). 0 where nothing matches.

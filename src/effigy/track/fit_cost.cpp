@@ -27,8 +27,14 @@ Vec2d project(const Vec3d& p, double focal, Eigen::Matrix<double, 2, 3>* derivat
 
 FrameCost::FrameCost(const FitModel& model, const FrameTarget& target, double robust_at,
                      double fixed_focal)
-    : model_(model), target_(target), robust_at_(robust_at), fixed_focal_(fixed_focal) {
-  set_num_residuals(3 * model.point_count() + model.frame_size() + 3);
+    : model_(model),
+      target_(target),
+      robust_at_(robust_at),
+      fixed_focal_(fixed_focal),
+      landmarks_(static_cast<int>(target.seen.size())),
+      photos_(target.photo != nullptr ? model.point_count() - landmarks_ : 0) {
+  EFFIGY_CHECK(photos_ == 0 || fixed_focal > 0);
+  set_num_residuals(3 * landmarks_ + model.frame_size() + 3 + photos_);
   if (fixed_focal <= 0) {
     mutable_parameter_block_sizes()->push_back(1);
     if (model.identity_count() > 0) {
@@ -51,7 +57,7 @@ bool FrameCost::Evaluate(double const* const* parameters, double* residuals,
   double* d_identity = jacobians != nullptr && has_identity ? jacobians[identity_block_] : nullptr;
   double* d_frame = jacobians != nullptr ? jacobians[frame_block_] : nullptr;
   const int rows = num_residuals(), size = model_.frame_size();
-  const int points = model_.point_count();
+  const int points = landmarks_;
 
   thread_local FitModel::Result result;
   model_.evaluate(identity, frame, d_frame != nullptr, d_identity != nullptr, result);
@@ -116,12 +122,44 @@ bool FrameCost::Evaluate(double const* const* parameters, double* residuals,
                   d_identity != nullptr
                       ? d_identity + static_cast<size_t>(eyes + 3) * model_.identity_count()
                       : nullptr);
+  if (photos_ > 0) {
+    const int begin = eyes + 3 + points;
+    evaluate_photo(result, focal, residuals + begin,
+                   d_frame != nullptr ? d_frame + static_cast<size_t>(begin) * size : nullptr);
+  }
   return true;
+}
+
+void FrameCost::evaluate_photo(const FitModel::Result& result, double focal, double* residuals,
+                               double* d_frame) const {
+  Eigen::Map<RowMatrix> to_frame(d_frame, d_frame != nullptr ? photos_ : 0, model_.frame_size());
+  for (int k = 0; k < photos_; ++k) {
+    residuals[k] = 0;
+    const double weight = target_.photo_weight[k];
+    const Eigen::Index i = landmarks_ + k;
+    const Vec3d world = result.position.row(i).transpose();
+    if (weight == 0 || !(world.z() < -1e-3)) continue;
+    Eigen::Matrix<double, 2, 3> d_pixel;
+    const Vec2d pixel = project(world, focal, &d_pixel);
+    double value = 0;
+    Vec2d slope;
+    if (!target_.photo->sample(pixel + target_.center, &value, &slope)) continue;
+    // Soft-L1, as above.
+    const double raw = weight * (value - target_.photo_value[k]);
+    const double limit = robust_at_ * robust_at_;
+    const double q = std::sqrt(1.0 + raw * raw / limit);
+    const double g = std::sqrt(2.0 / (1.0 + q));
+    residuals[k] = g * raw;
+    if (d_frame == nullptr) continue;
+    const double d_raw = g - 2.0 * raw * raw * g / (4.0 * (1.0 + q) * q * limit);
+    const Eigen::RowVector3d chain = d_raw * weight * slope.transpose() * d_pixel;
+    to_frame.row(k) = chain.lazyProduct(result.d_frame.middleRows<3>(3 * i));
+  }
 }
 
 void FrameCost::evaluate_depths(const FitModel::Result& result, double* residuals, double* d_frame,
                                 double* d_identity) const {
-  const int points = model_.point_count();
+  const int points = landmarks_;
   std::fill_n(residuals, points, 0.0);
   double sum = 0, mean_z = 0, mean_seen = 0;
   for (int i = 0; i < points; ++i) {

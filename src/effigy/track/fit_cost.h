@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "effigy/track/fit_model.h"
+#include "effigy/track/photo.h"
 
 namespace effigy {
 
@@ -17,7 +18,12 @@ struct FrameTarget {
   std::vector<double> weight;  // 1 / sigma in pixels; 0 leaves the point out
   // Per point: distance towards the camera, pixels, from any plane; 1 / sigma, or 0.
   std::vector<double> depth, depth_weight;
-  double depth_scale = 0;             // pixels a metre, for the depths
+  double depth_scale = 0;  // pixels a metre, for the depths
+  // Points of the model from seen.size() on are not landmarks: the picture's contrast there is
+  // expected to be photo_value, 1 / sigma, or 0. No such points when `photo` is null.
+  const PhotoWindow* photo = nullptr;
+  Vec2d center = Vec2d::Zero();  // the principal point, for the window
+  std::vector<float> photo_value, photo_weight;
   Eigen::VectorXd prior_mean;         // frame_size: where each parameter is expected
   Eigen::VectorXd prior_weight;       // 1 / sigma; 0 for none
   Eigen::VectorXd lower, upper;       // frame_size: limits of each parameter
@@ -40,12 +46,15 @@ class FrameCost : public ceres::CostFunction {
                 double** jacobians) const override;
 
  private:
+  void evaluate_photo(const FitModel::Result& result, double focal, double* residuals,
+                      double* d_frame) const;
   void evaluate_depths(const FitModel::Result& result, double* residuals, double* d_frame,
                        double* d_identity) const;
 
   const FitModel& model_;
   const FrameTarget& target_;
   double robust_at_, fixed_focal_;
+  int landmarks_, photos_;  // points of the model of each kind, in this order
   int identity_block_ = -1, frame_block_ = 0;
 };
 

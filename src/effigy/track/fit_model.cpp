@@ -139,6 +139,38 @@ void FitModel::add_point(int joint, const Vec3d& rest) {
   first_part_.push_back(static_cast<int>(parts_.size()));
 }
 
+void FitModel::add_points(const Rig& rig, const RigShape& shape, const LandmarkEmbedding& points) {
+  const size_t joints = parents_.size(), stride = shape.rest.size();
+  const int pose_features = shape.pose_basis.empty() ? 0 : 9 * (static_cast<int>(joints) - 1);
+  for (size_t i = 0; i < points.size(); ++i) {
+    const Vec3i triangle = rig.mesh.triangles[points.triangle[i]];
+    for (size_t j = 0; j < joints; ++j) {
+      Part part;
+      part.joint = static_cast<int>(j);
+      part.rest.setZero();
+      part.identity.resize(3, 0);
+      part.expression.setZero(3, expression_count_);
+      part.pose.setZero(3, pose_features);
+      for (int k = 0; k < 3; ++k) {
+        const size_t v = static_cast<size_t>(triangle[k]);
+        const double w =
+            static_cast<double>(points.barycentric[i][k]) * shape.weights[v * joints + j];
+        if (w == 0) continue;
+        part.mass += w;
+        part.rest += w * at(shape.rest, v);
+        for (int e = 0; e < expression_count_; ++e)
+          part.expression.col(e) +=
+              w * at(shape.expression_basis, (static_cast<size_t>(e) * stride + 3 * v) / 3);
+        for (int f = 0; f < pose_features; ++f)
+          part.pose.col(f) +=
+              w * at(shape.pose_basis, (static_cast<size_t>(f) * stride + 3 * v) / 3);
+      }
+      if (std::abs(part.mass) > kLeastMass) parts_.push_back(std::move(part));
+    }
+    first_part_.push_back(static_cast<int>(parts_.size()));
+  }
+}
+
 FitModel FitModel::with_identity(const double* identity) const {
   FitModel baked = *this;
   const Eigen::Map<const Eigen::VectorXd> beta(identity, identity_count_);

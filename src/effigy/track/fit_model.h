@@ -33,6 +33,8 @@ class FitModel {
   void shift_point(int point, const Vec3d& shift);
   // One more point, at `rest` and carried by `joint` alone.
   void add_point(int joint, const Vec3d& rest);
+  // Points on the surface of the shape (identity folded in), as of an embedding.
+  void add_points(const Rig& rig, const RigShape& shape, const LandmarkEmbedding& points);
   // Of the rest pose, at identity 0.
   Vec3d joint_position(int joint) const { return joints_[joint]; }
 

@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <future>
 #include <optional>
+#include <utility>
 
 #include "effigy/base/error.h"
 #include "effigy/base/log.h"
@@ -86,6 +88,13 @@ VideoObservation observe_video(const Path& video, const ModelSet& models,
   if (options.most_frames > 0 && (expected == 0 || expected > options.most_frames))
     expected = options.most_frames;
   Progress progress("landmarks", "frame", expected);
+  std::future<std::pair<TorsoMotion, PhotoWindow>> beside;
+  const auto collect = [&] {
+    if (!beside.valid()) return;
+    auto [motion, window] = beside.get();
+    seen.views.torso.push_back(motion);
+    seen.views.photos.push_back(std::move(window));
+  };
   FrameSource::Frame frame;
   while (source.next(frame)) {
     if (frame.number == 0) {
@@ -97,9 +106,15 @@ VideoObservation observe_video(const Path& video, const ModelSet& models,
     }
     seen.seconds.push_back(frame.seconds);
     seen.frames.push_back(tracker.observe(frame.picture));
-    seen.torso.push_back(torso.follow(frame.picture, seen.frames.back()));
+    // Torso and look on another thread, while the networks see the next frame.
+    collect();
+    beside = std::async(std::launch::async, [&torso, picture = std::move(frame.picture),
+                                             face = seen.frames.back()] {
+      return std::pair(torso.follow(picture, face), photo_window(picture, face));
+    });
     progress.update(frame.number + 1);
   }
+  collect();
   progress.finish();
   seen.most_faces = tracker.most_faces();
   check_observation(seen, video.string(), options.tolerant);

@@ -5,8 +5,7 @@
 #include <vector>
 
 #include "effigy/infer/models.h"
-#include "effigy/track/face.h"
-#include "effigy/track/torso.h"
+#include "effigy/track/fit.h"
 #include "effigy/track/track.h"
 
 namespace effigy {
@@ -16,7 +15,7 @@ struct VideoObservation {
   double frames_per_second = 0;
   std::vector<double> seconds;          // of each frame
   std::vector<FaceObservation> frames;  // landmarks smoothed over time
-  std::vector<TorsoMotion> torso;       // of each frame
+  FitViews views;                       // torso and look of each frame
   int landmark_count = 0, most_faces = 0;
   int tracked() const;
 };

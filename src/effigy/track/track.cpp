@@ -96,7 +96,7 @@ Json track_video(const Path& video, const Path& output, const TrackOptions& opti
   const VideoObservation seen = observe_video(video, models, options);
   if (options.matte) list_own_mattes(*options.matte, seen.frames.size());
   clock.stage("landmarks");
-  const FitResult fit = fit_rig(capture.rig, seen.frames, seen.torso, seen.width, seen.height, {});
+  const FitResult fit = fit_rig(capture.rig, seen.frames, seen.views, seen.width, seen.height, {});
   shift_joint(capture.rig, fit.identity, std::max(capture.rig.joint("neck"), 0), fit.neck_shift);
   clock.stage("fit");
 
