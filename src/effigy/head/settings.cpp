@@ -43,6 +43,7 @@ void visit_settings(Settings& s, Visit&& visit) {
   visit("weight.laplacian", s.weights.laplacian);
   visit("weight.rig", s.weights.rig);
   visit("weight.expression", s.weights.expression);
+  visit("weight.material_prior", s.weights.material_prior);
   visit("weight.environment", s.weights.environment);
   visit("uv_distortion", s.uv_distortion);
   visit("uv_distortion_start", s.uv_distortion_start);
@@ -113,6 +114,7 @@ void TrainSettings::make_paper_literal() {
   hold_mean_pose = false;
   final_rate_factor = 1;
   weights.environment = 0;
+  weights.material_prior = 0;
 }
 
 Json to_json(const TrainSettings& settings) {

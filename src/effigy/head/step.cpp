@@ -233,6 +233,8 @@ void HeadTrainer::State::update_material(LossValues& losses) {
   texture_losses.roughness_tv = texture_losses.specular_tv = static_cast<float>(w.smooth);
   texture_losses.normal = static_cast<float>(w.normal_map);
   texture_losses.boundary = static_cast<float>(w.boundary);
+  texture_losses.roughness_prior = texture_losses.specular_prior =
+      static_cast<float>(w.material_prior);
   const auto f = static_cast<float>(rate_factor());
   const auto material = f * static_cast<float>(settings.rates.material);
   const TextureRates rates{material, material, material,
@@ -241,6 +243,7 @@ void HeadTrainer::State::update_material(LossValues& losses) {
       texture_step(model.material, activation, mask, texture_losses, rates, {}, texture, d_texels);
   losses["smooth"] = step.losses.roughness_tv + step.losses.specular_tv;
   losses["normal_map"] = step.losses.normal;
+  losses["material_prior"] = step.losses.roughness_prior + step.losses.specular_prior;
   losses["boundary"] = step.losses.boundary;
 }
 
