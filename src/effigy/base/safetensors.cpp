@@ -179,7 +179,7 @@ void write_safetensors(const Path& path, const TensorFile& file) {
     offset += tensor.bytes.size();
   }
   if (!file.metadata.empty()) header["__metadata__"] = file.metadata;
-  std::string text = header.dump();
+  std::string text = header.dump(-1, ' ', false, Json::error_handler_t::replace);
   while (text.size() % 8 != 0) text += ' ';
   std::vector<uint8_t> bytes(8 + text.size() + offset);
   const uint64_t header_size = text.size();

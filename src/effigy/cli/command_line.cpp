@@ -53,7 +53,7 @@ std::vector<double> parse_numbers(const std::string& text, size_t count,
 }
 
 void print_json(const Json& value) {
-  std::printf("%s\n", value.dump(2).c_str());
+  std::printf("%s\n", value.dump(2, ' ', false, Json::error_handler_t::replace).c_str());
 }
 
 }  // namespace effigy

@@ -15,7 +15,7 @@ Mat3d cross_matrix(const Vec3d& w) {
   return k;
 }
 
-Vec3d at(const std::vector<float>& values, size_t vertex) {
+Vec3d at(std::span<const float> values, size_t vertex) {
   return {values[3 * vertex], values[3 * vertex + 1], values[3 * vertex + 2]};
 }
 
@@ -88,36 +88,41 @@ FitModel::FitModel(const Rig& rig, const std::vector<int>& points)
     joints_.push_back(joint);
     joint_identity_.push_back(std::move(moved));
   }
-  const int pose_features = rig.pose_basis.empty() ? 0 : 9 * (static_cast<int>(joints) - 1);
-  for (const int point : points) {
-    first_part_.push_back(static_cast<int>(parts_.size()));
-    const Vec3i triangle = rig.mesh.triangles[rig.mediapipe.triangle[point]];
-    const Vec3f barycentric = rig.mediapipe.barycentric[point];
-    for (size_t j = 0; j < joints; ++j) {
-      Part part;
-      part.joint = static_cast<int>(j);
-      part.rest.setZero();
-      part.identity.setZero(3, identity_count_);
-      part.expression.setZero(3, expression_count_);
-      part.pose.setZero(3, pose_features);
-      for (int k = 0; k < 3; ++k) {
-        const size_t v = static_cast<size_t>(triangle[k]);
-        const double w = static_cast<double>(barycentric[k]) * rig.weights[v * joints + j];
-        if (w == 0) continue;
-        part.mass += w;
-        part.rest += w * at(rig.mesh.vertices, v);
-        const auto add = [&](const std::vector<float>& basis,
-                             Eigen::Matrix<double, 3, Eigen::Dynamic>& to) {
-          for (Eigen::Index i = 0; i < to.cols(); ++i)
-            for (int c = 0; c < 3; ++c)
-              to(c, i) += w * basis[static_cast<size_t>(i) * stride + 3 * v + c];
-        };
-        add(rig.identity_basis, part.identity);
-        add(rig.expression_basis, part.expression);
-        add(rig.pose_basis, part.pose);
-      }
-      if (std::abs(part.mass) > kLeastMass) parts_.push_back(std::move(part));
+  first_part_.push_back(0);
+  for (const int point : points)
+    add_surface_point(
+        {rig.mesh.vertices, rig.identity_basis, rig.expression_basis, rig.pose_basis, rig.weights},
+        rig.mesh.triangles[rig.mediapipe.triangle[point]], rig.mediapipe.barycentric[point]);
+}
+
+void FitModel::add_surface_point(const Surface& surface, const Vec3i& triangle,
+                                 const Vec3f& barycentric) {
+  const size_t joints = parents_.size(), stride = surface.rest.size();
+  const int pose_features = surface.pose_basis.empty() ? 0 : 9 * (static_cast<int>(joints) - 1);
+  for (size_t j = 0; j < joints; ++j) {
+    Part part;
+    part.joint = static_cast<int>(j);
+    part.rest.setZero();
+    part.identity.setZero(3, identity_count_);
+    part.expression.setZero(3, expression_count_);
+    part.pose.setZero(3, pose_features);
+    for (int k = 0; k < 3; ++k) {
+      const size_t v = static_cast<size_t>(triangle[k]);
+      const double w = static_cast<double>(barycentric[k]) * surface.weights[v * joints + j];
+      if (w == 0) continue;
+      part.mass += w;
+      part.rest += w * at(surface.rest, v);
+      const auto add = [&](std::span<const float> basis,
+                           Eigen::Matrix<double, 3, Eigen::Dynamic>& to) {
+        for (Eigen::Index i = 0; i < to.cols(); ++i)
+          for (int c = 0; c < 3; ++c)
+            to(c, i) += w * basis[static_cast<size_t>(i) * stride + 3 * v + c];
+      };
+      add(surface.identity_basis, part.identity);
+      add(surface.expression_basis, part.expression);
+      add(surface.pose_basis, part.pose);
     }
+    if (std::abs(part.mass) > kLeastMass) parts_.push_back(std::move(part));
   }
   first_part_.push_back(static_cast<int>(parts_.size()));
 }
@@ -140,35 +145,10 @@ void FitModel::add_point(int joint, const Vec3d& rest) {
 }
 
 void FitModel::add_points(const Rig& rig, const RigShape& shape, const LandmarkEmbedding& points) {
-  const size_t joints = parents_.size(), stride = shape.rest.size();
-  const int pose_features = shape.pose_basis.empty() ? 0 : 9 * (static_cast<int>(joints) - 1);
-  for (size_t i = 0; i < points.size(); ++i) {
-    const Vec3i triangle = rig.mesh.triangles[points.triangle[i]];
-    for (size_t j = 0; j < joints; ++j) {
-      Part part;
-      part.joint = static_cast<int>(j);
-      part.rest.setZero();
-      part.identity.resize(3, 0);
-      part.expression.setZero(3, expression_count_);
-      part.pose.setZero(3, pose_features);
-      for (int k = 0; k < 3; ++k) {
-        const size_t v = static_cast<size_t>(triangle[k]);
-        const double w =
-            static_cast<double>(points.barycentric[i][k]) * shape.weights[v * joints + j];
-        if (w == 0) continue;
-        part.mass += w;
-        part.rest += w * at(shape.rest, v);
-        for (int e = 0; e < expression_count_; ++e)
-          part.expression.col(e) +=
-              w * at(shape.expression_basis, (static_cast<size_t>(e) * stride + 3 * v) / 3);
-        for (int f = 0; f < pose_features; ++f)
-          part.pose.col(f) +=
-              w * at(shape.pose_basis, (static_cast<size_t>(f) * stride + 3 * v) / 3);
-      }
-      if (std::abs(part.mass) > kLeastMass) parts_.push_back(std::move(part));
-    }
-    first_part_.push_back(static_cast<int>(parts_.size()));
-  }
+  EFFIGY_CHECK_EQ(identity_count_, 0);
+  for (size_t i = 0; i < points.size(); ++i)
+    add_surface_point({shape.rest, {}, shape.expression_basis, shape.pose_basis, shape.weights},
+                      rig.mesh.triangles[points.triangle[i]], points.barycentric[i]);
 }
 
 FitModel FitModel::with_identity(const double* identity) const {

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <span>
 #include <vector>
 
 #include "effigy/geometry/types.h"
@@ -59,6 +60,11 @@ class FitModel {
     Vec3d rest;
     Eigen::Matrix<double, 3, Eigen::Dynamic> identity, expression, pose;
   };
+  // What a point's parts are made of, as in Rig.
+  struct Surface {
+    std::span<const float> rest, identity_basis, expression_basis, pose_basis, weights;
+  };
+  void add_surface_point(const Surface& surface, const Vec3i& triangle, const Vec3f& barycentric);
   struct Chain;
   Chain make_chain(const double* identity, const double* frame, bool want_frame,
                    bool want_identity) const;

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "effigy/base/random.h"
+#include "effigy/image/colour.h"
 #include "effigy/image/resample.h"
 
 namespace effigy {
@@ -19,6 +20,16 @@ constexpr double kNearLandmark = 0.03;  // metres
 
 }  // namespace
 
+Image grey_part(const Image8& picture, double x, double y, double width, double height,
+                int out_width, int out_height) {
+  const Image8 part = crop_resize(picture, x, y, width, height, out_width, out_height);
+  Image grey(out_width, out_height, 1);
+  for (size_t i = 0; i < grey.data.size(); ++i)
+    grey.data[i] =
+        luminance(part.data[3 * i], part.data[3 * i + 1], part.data[3 * i + 2]) * (1.0f / 255.0f);
+  return grey;
+}
+
 PhotoWindow photo_window(const Image8& picture, const FaceObservation& face) {
   PhotoWindow window;
   if (!face.found) return window;
@@ -30,13 +41,8 @@ PhotoWindow photo_window(const Image8& picture, const FaceObservation& face) {
   window.left = 0.5 * (p[3 * kChin] + p[3 * kForehead]) - 0.5 * side;
   window.top = 0.5 * (p[3 * kChin + 1] + p[3 * kForehead + 1]) - 0.5 * side;
   window.scale = kPhotoSide / side;
-  const Image8 part =
-      crop_resize(picture, window.left, window.top, side, side, kPhotoSide, kPhotoSide);
-  Image grey(kPhotoSide, kPhotoSide, 1);
-  for (size_t i = 0; i < grey.data.size(); ++i)
-    grey.data[i] =
-        (0.30f * part.data[3 * i] + 0.59f * part.data[3 * i + 1] + 0.11f * part.data[3 * i + 2]) *
-        (1.0f / 255.0f);
+  const Image grey =
+      grey_part(picture, window.left, window.top, side, side, kPhotoSide, kPhotoSide);
   const Image mean =
       resize(gaussian_blur(resize(grey, kPhotoSide / kCoarse, kPhotoSide / kCoarse), kCoarseSigma),
              kPhotoSide, kPhotoSide);

@@ -11,9 +11,14 @@
 
 namespace effigy {
 
+// A rectangle of a 3-channel picture (pixels, may leave it) as brightness in [0, 1], of the encoded
+// values.
+Image grey_part(const Image8& picture, double x, double y, double width, double height,
+                int out_width, int out_height);
+
 // Brightness less its local mean, which light changes little, around the face.
 struct PhotoWindow {
-  Image8 contrast;  // kPhotoSide squared, 1 channel; 128 is the local mean; empty: no face
+  Image8 contrast;                      // square, 1 channel; 128 is the local mean; empty: no face
   double left = 0, top = 0, scale = 1;  // pixels of the frame; window pixels a pixel of the frame
 
   // Contrast (about [-0.3, 0.3]) at a pixel position of the frame and its derivative a pixel; false

@@ -6,6 +6,7 @@
 
 #include "effigy/image/resample.h"
 #include "effigy/track/mediapipe.h"
+#include "effigy/track/photo.h"
 
 namespace effigy {
 namespace {
@@ -46,13 +47,7 @@ float median_magnitude(std::vector<float> values) {
 }  // namespace
 
 Image TorsoFollower::window(const Image8& picture) const {
-  const Image8 part = crop_resize(picture, left_, top_, width_, height_, columns_, rows_);
-  Image grey(columns_, rows_, 1);
-  for (size_t i = 0; i < grey.data.size(); ++i)
-    grey.data[i] =
-        (0.30f * part.data[3 * i] + 0.59f * part.data[3 * i + 1] + 0.11f * part.data[3 * i + 2]) *
-        (1.0f / 255.0f);
-  return grey;
+  return grey_part(picture, left_, top_, width_, height_, columns_, rows_);
 }
 
 void TorsoFollower::begin(const Image8& picture, const FaceObservation& face) {
