@@ -21,9 +21,9 @@ struct LearningRates {
   double template_vertices = 1e-5;  // metres
   double weights = 1e-4;
   double basis = 1e-6;  // metres per unit: expression and pose bases
-  double frame_expression = 5e-3;
-  double frame_rotation = 8e-4;     // radians
-  double frame_translation = 8e-5;  // metres
+  double frame_expression = 2e-3;
+  double frame_rotation = 2e-4;     // radians
+  double frame_translation = 2e-5;  // metres
 };
 
 // Weights of the losses (Table 3b with decisions in metres).
