@@ -2,12 +2,16 @@
 
 #include <gtest/gtest.h>
 
+#include <atomic>
+#include <chrono>
 #include <cmath>
 #include <limits>
 #include <optional>
+#include <thread>
 
 #include "effigy/base/error.h"
 #include "effigy/base/random.h"
+#include "effigy/base/threads.h"
 
 namespace effigy {
 namespace {
@@ -111,6 +115,26 @@ TEST(RayScene, RefusesBadMeshes) {
   std::vector<float> bad = good;
   bad[4] = std::numeric_limits<float>::quiet_NaN();
   EXPECT_THROW(RayScene(bad, {Vec3i(0, 1, 2)}), Error);
+}
+
+TEST(RayScene, LeavesTheThreadsToTheProgram) {
+  const Soup soup = random_soup(10, 5);
+  const RayScene scene(soup.vertices, soup.triangles);
+  const int before = thread_count();
+  set_thread_count(2);
+  // Two pieces that wait for each other: with one thread neither ever sees the other start.
+  std::atomic<int> started{0};
+  std::atomic<bool> met{false};
+  parallel_for(2, 1, [&](size_t begin, size_t end, int) {
+    for (size_t i = begin; i < end; ++i) {
+      ++started;
+      const auto until = std::chrono::steady_clock::now() + std::chrono::seconds(5);
+      while (started < 2 && std::chrono::steady_clock::now() < until) std::this_thread::yield();
+      if (started == 2) met = true;
+    }
+  });
+  set_thread_count(before);
+  EXPECT_TRUE(met);
 }
 
 }  // namespace

@@ -11,10 +11,11 @@
 namespace effigy {
 namespace {
 
-// One device for the process: creating one costs milliseconds and threads.
+// One device for the process: creating one costs milliseconds. Its "threads" setting would limit
+// oneTBB, and with it all of our kernels, to that many threads.
 RTCDevice device() {
   static const RTCDevice shared = [] {
-    const RTCDevice made = rtcNewDevice("threads=1,set_affinity=0");
+    const RTCDevice made = rtcNewDevice("set_affinity=0");
     if (made == nullptr)
       throw Error("Embree could not start (error " + std::to_string(rtcGetDeviceError(nullptr)) +
                   "); reinstall libembree3-3.");
