@@ -40,7 +40,7 @@ struct LossWeights {
   double rig = 0.001;
   double expression = 0.01;
   double material_prior = 0.05;  // roughness towards 0.5, F0 towards 0.05 (squared)
-  double environment = 0.01;  // variance of the log radiance over directions and channels
+  double environment = 0.01;     // variance of the log radiance over directions and channels
 };
 
 struct TrainSettings {
