@@ -488,7 +488,7 @@ TEST(Fit, FollowsAKnownHead) {
     EXPECT_LT(axis_angle_of(off).norm(), 0.06) << f;
     // The mouth is as open as it was, by whatever shapes and joints.
     EXPECT_NEAR(mouth_gap(scene.rig, fit.identity, fit.poses[f]),
-                mouth_gap(scene.rig, scene.identity, scene.poses[f]), 0.0032)
+                mouth_gap(scene.rig, scene.identity, scene.poses[f]), 0.003)
         << f;
   }
   for (const RigPose& pose : fit.poses)
@@ -563,7 +563,7 @@ TEST(Fit, ShouldersFollowTheTorso) {
   };
   const double followed = worst(torso), left = worst({});
   EXPECT_GT(left, 6.0);
-  EXPECT_LT(followed, 4.0);
+  EXPECT_LT(followed, 3.5);
 }
 
 TEST(Fit, SameBitsTwice) {

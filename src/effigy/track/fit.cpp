@@ -161,7 +161,7 @@ Shared solve_shared(const FitSetup& setup, const Rig& rig, const std::vector<int
 // the head as soon as it looks elsewhere. Alternates with the key frames' own parameters.
 void settle_points(const FitSetup& setup, const std::vector<int>& keys, double focal,
                    const FitOptions& options, FitModel& model) {
-  const int points = model.point_count(), neck = setup.neck();
+  const int points = model.point_count();
   std::vector<FrameTarget> targets(keys.size());
   std::vector<Eigen::VectorXd> frames(keys.size());
   for (size_t k = 0; k < keys.size(); ++k) {
@@ -186,17 +186,12 @@ void settle_points(const FitSetup& setup, const std::vector<int>& keys, double f
     for (size_t k = 0; k < keys.size(); ++k) {
       FitModel::Result result;
       model.evaluate(nullptr, frames[k].data(), false, false, result);
-      Mat3d turn = rotation_of(frames[k].segment<3>(model.rotation_begin(0)), nullptr);
-      if (neck > 0)
-        turn = turn * rotation_of(frames[k].segment<3>(model.rotation_begin(neck)), nullptr);
+      const Mat3d turn = model.rotation_in_world(frames[k], setup.neck());
       for (int i = 0; i < points; ++i) {
         if (setup.freedom(i) <= 0) continue;
         const Vec3d world = result.position.row(i).transpose();
-        const double inverse = -1 / std::min(world.z(), -1e-3);
-        const Vec2d pixel(focal * world.x() * inverse, -focal * world.y() * inverse);
         Eigen::Matrix<double, 2, 3> derivative;
-        derivative << focal * inverse, 0, pixel.x() * inverse, 0, -focal * inverse,
-            pixel.y() * inverse;
+        const Vec2d pixel = project_point(world, focal, &derivative);
         const Vec2d error = targets[k].weight[i] * (targets[k].seen[i] - pixel);
         const double size = error.squaredNorm() / (options.robust_at * options.robust_at);
         const double robust = 1 / std::sqrt(1 + size);  // soft-L1
@@ -314,8 +309,7 @@ double mean_error(const FitSetup& setup, const Rig& rig, const FitModel::Result&
   for (size_t i = 0; i < chosen.size(); ++i) {
     if (!chosen[i]) continue;
     const Vec3d p = result.position.row(static_cast<Eigen::Index>(i)).transpose();
-    const Vec2d pixel(-focal * p.x() / p.z(), focal * p.y() / p.z());
-    sum += (pixel - setup.seen(frame, rig.mediapipe.index[i])).norm();
+    sum += (project_point(p, focal, nullptr) - setup.seen(frame, rig.mediapipe.index[i])).norm();
     ++count;
   }
   return count > 0 ? sum / count : 0.0;

@@ -11,18 +11,6 @@ namespace {
 
 using RowMatrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
-// The pixel of a world point in the camera at the origin that looks along -z, relative to the
-// principal point, and its derivative.
-Vec2d project(const Vec3d& p, double focal, Eigen::Matrix<double, 2, 3>* derivative) {
-  const double inverse = -1.0 / p.z();
-  const Vec2d pixel(focal * p.x() * inverse, -focal * p.y() * inverse);
-  if (derivative != nullptr) {
-    *derivative << focal * inverse, 0, pixel.x() * inverse,  //
-        0, -focal * inverse, pixel.y() * inverse;
-  }
-  return pixel;
-}
-
 }  // namespace
 
 FrameCost::FrameCost(const FitModel& model, const FrameTarget& target, double robust_at,
@@ -78,7 +66,7 @@ bool FrameCost::Evaluate(double const* const* parameters, double* residuals,
     const Vec3d world = result.position.row(i).transpose();
     if (!(world.z() < -1e-3)) return false;
     Eigen::Matrix<double, 2, 3> d_pixel;
-    const Vec2d pixel = project(world, focal, jacobians != nullptr ? &d_pixel : nullptr);
+    const Vec2d pixel = project_point(world, focal, jacobians != nullptr ? &d_pixel : nullptr);
     const Vec2d raw = weight * (pixel - target_.seen[i]);
     // Soft-L1: rho(s) = 2 d^2 (sqrt(1 + s / d^2) - 1) = s g(s)^2 with g = sqrt(2 / (1 + q)).
     const double limit = robust_at_ * robust_at_;
@@ -140,7 +128,7 @@ void FrameCost::evaluate_photo(const FitModel::Result& result, double focal, dou
     const Vec3d world = result.position.row(i).transpose();
     if (weight == 0 || !(world.z() < -1e-3)) continue;
     Eigen::Matrix<double, 2, 3> d_pixel;
-    const Vec2d pixel = project(world, focal, &d_pixel);
+    const Vec2d pixel = project_point(world, focal, &d_pixel);
     double value = 0;
     Vec2d slope;
     if (!target_.photo->sample(pixel + target_.center, &value, &slope)) continue;

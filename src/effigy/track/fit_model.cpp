@@ -48,6 +48,16 @@ Mat3d rotation_of(const Vec3d& w, Mat3d* derivative) {
   return rotation;
 }
 
+Vec2d project_point(const Vec3d& point, double focal, Eigen::Matrix<double, 2, 3>* derivative) {
+  const double inverse = -1.0 / std::min(point.z(), -1e-3);
+  const Vec2d pixel(focal * point.x() * inverse, -focal * point.y() * inverse);
+  if (derivative != nullptr) {
+    *derivative << focal * inverse, 0, pixel.x() * inverse,  //
+        0, -focal * inverse, pixel.y() * inverse;
+  }
+  return pixel;
+}
+
 Vec3d axis_angle_of(const Mat3d& rotation) {
   const Eigen::AngleAxisd turn(rotation);
   return turn.angle() * turn.axis();
@@ -164,6 +174,12 @@ FitModel FitModel::with_identity(const double* identity) const {
     baked.parts_[p].identity.resize(3, 0);
   }
   return baked;
+}
+
+Mat3d FitModel::rotation_in_world(const Eigen::VectorXd& frame, int joint) const {
+  const Mat3d root = rotation_of(frame.segment<3>(rotation_begin(0)), nullptr);
+  if (joint == 0) return root;
+  return root * rotation_of(frame.segment<3>(rotation_begin(joint)), nullptr);
 }
 
 FitModel::Chain FitModel::make_chain(const double* identity, const double* frame, bool want_frame,

@@ -41,6 +41,8 @@ class FitModel {
 
   // The same points with the identity folded in: identity_count() is 0 and each step is cheaper.
   FitModel with_identity(const double* identity) const;
+  // Rotation of a joint right below the root (or of the root, 0) in the world.
+  Mat3d rotation_in_world(const Eigen::VectorXd& frame, int joint) const;
 
   struct Result {
     Matrix position;    // [points][3], world
@@ -76,6 +78,10 @@ class FitModel {
   std::vector<int> first_part_;  // of each point; one more at the end
   std::vector<Part> parts_;
 };
+
+// The pixel, relative to the principal point, of a world point (z < 0) in the fit's camera, which
+// is at the origin and looks along -z; its derivative when not null.
+Vec2d project_point(const Vec3d& point, double focal, Eigen::Matrix<double, 2, 3>* derivative);
 
 // Rodrigues' rotation of an axis-angle vector; derivative[a] = dR / dw_a when not null.
 Mat3d rotation_of(const Vec3d& axis_angle, Mat3d* derivative);

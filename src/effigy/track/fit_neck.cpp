@@ -19,15 +19,6 @@ Vec2d apply(const PlaneSimilarity& m, const Vec2d& p) {
   return {m.a * p.x() - m.b * p.y() + m.u, m.b * p.x() + m.a * p.y() + m.v};
 }
 
-// Pixel relative to the principal point, and its derivative.
-Vec2d project(const Vec3d& p, double focal, Eigen::Matrix<double, 2, 3>& derivative) {
-  const double inverse = -1.0 / std::min(p.z(), -1e-3);
-  const Vec2d pixel(focal * p.x() * inverse, -focal * p.y() * inverse);
-  derivative << focal * inverse, 0, pixel.x() * inverse,  //
-      0, -focal * inverse, pixel.y() * inverse;
-  return pixel;
-}
-
 // The front and both sides of the neck ring, which lie on the torso's silhouette.
 std::vector<Vec3d> choose_anchors(const std::vector<Vec3d>& ring) {
   if (ring.size() < 3) return {};
@@ -60,9 +51,8 @@ class NeckFit {
 
   void add(const Eigen::VectorXd& frame, const PlaneSimilarity* torso, const FitModel& model) {
     Head head;
-    head.root = rotation_of(frame.segment<3>(model.rotation_begin(0)), nullptr);
-    head.turn =
-        head.root * rotation_of(frame.segment<3>(model.rotation_begin(setup_.neck())), nullptr);
+    head.root = model.rotation_in_world(frame, 0);
+    head.turn = model.rotation_in_world(frame, setup_.neck());
     head.pivot = frame.head<3>() + root_ + head.root * (neck_ - root_);
     head.torso = torso;
     heads_.push_back(head);
@@ -115,7 +105,7 @@ class NeckFit {
       for (size_t k = 0; k < anchors_.size(); ++k) {
         const Vec3d arm = anchors_[k] - joint;
         Eigen::Matrix<double, 2, 3> d_pixel;
-        const Vec2d error = target[k] - project(pivot + root * arm, focal_, d_pixel);
+        const Vec2d error = target[k] - project_point(pivot + root * arm, focal_, &d_pixel);
         Mat3d d_arm;
         for (int c = 0; c < 3; ++c) d_arm.col(c) = derivative[c] * arm;
         const Eigen::Matrix<double, 2, 3> d = d_pixel * d_arm / sigma_;
@@ -141,7 +131,7 @@ class NeckFit {
     for (size_t k = 0; k < anchors_.size(); ++k) {
       const Eigen::Index at = 3 + 2 * static_cast<Eigen::Index>(k);
       Eigen::Matrix<double, 2, 3> d_pixel;
-      const Vec2d pixel = project(pivot + torso * (anchors_[k] - joint), focal_, d_pixel);
+      const Vec2d pixel = project_point(pivot + torso * (anchors_[k] - joint), focal_, &d_pixel);
       const Vec2d place = x.segment<2>(at);
       const Vec2d error = apply(*head.torso, place) - setup_.center() - pixel;
       // Far from the solution every frame counts alike.

@@ -42,16 +42,14 @@ PhotoFit::Look PhotoFit::look(size_t i, const Eigen::VectorXd& frame) const {
   if (window.contrast.empty()) return look;
   FitModel::Result result;
   model_.evaluate(nullptr, frame.data(), false, false, result);
-  Mat3d turn = rotation_of(frame.segment<3>(model_.rotation_begin(0)), nullptr);
-  if (setup_.neck() > 0)
-    turn = turn * rotation_of(frame.segment<3>(model_.rotation_begin(setup_.neck())), nullptr);
+  const Mat3d turn = model_.rotation_in_world(frame, setup_.neck());
   for (size_t k = 0; k < normal_.size(); ++k) {
     const Vec3d world = result.position.row(first_ + static_cast<Eigen::Index>(k)).transpose();
     if (!(world.z() < -1e-3)) continue;
     const double facing = -(turn * normal_[k]).dot(world.normalized());
     const double weight =
         std::clamp((facing - kLeastFacing) / (kFullFacing - kLeastFacing), 0.0, 1.0);
-    const Vec2d pixel(-focal_ * world.x() / world.z(), focal_ * world.y() / world.z());
+    const Vec2d pixel = project_point(world, focal_, nullptr);
     double value = 0;
     Vec2d slope;
     if (weight <= 0 || !window.sample(pixel + setup_.center(), &value, &slope)) continue;

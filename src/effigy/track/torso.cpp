@@ -195,14 +195,13 @@ TorsoMotion TorsoFollower::follow(const Image8& picture, const FaceObservation& 
                             &level == &levels_.back() ? kFineSteps : kCoarseSteps, motion);
     result.found = good;
   }
-  result.center = Vec2d(left_, top_) + center_ / scale_;
   if (!result.found) {
     // Looked for where it was last, and at its first place when that fails for long.
     last_ = {0.9 * last_.a + 0.1, 0.9 * last_.b, 0.9 * last_.u, 0.9 * last_.v};
     return result;
   }
   last_ = motion;
-  const Vec2d c = result.center;
+  const Vec2d c = Vec2d(left_, top_) + center_ / scale_;
   result.here_from_start = {motion.a, motion.b,
                             c.x() - motion.a * c.x() + motion.b * c.y() + motion.u / scale_,
                             c.y() - motion.b * c.x() - motion.a * c.y() + motion.v / scale_};

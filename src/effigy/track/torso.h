@@ -14,7 +14,6 @@ namespace effigy {
 struct TorsoMotion {
   bool found = false;
   PlaneSimilarity here_from_start;  // pixels of the first frame that shows the torso to this one's
-  Vec2d center = Vec2d::Zero();     // of the torso's texture in that first frame
 };
 
 // Aligns what lies below the chin to how it looked at first: inverse compositional Lucas-Kanade
