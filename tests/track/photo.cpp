@@ -65,7 +65,7 @@ TEST(Photo, NothingOutsideTheWindowOrWithoutAFace) {
   EXPECT_TRUE(photo_window(waves(100, 20), FaceObservation{}).contrast.empty());
 }
 
-TEST(Photo, PointsLieOnTheSkinNearLandmarks) {
+TEST(Photo, PointsLieOnTheSkinAroundLandmarks) {
   const Rig rig = builtin_head_rig();
   const LandmarkEmbedding points = choose_photo_points(rig, rig.mesh.vertices, 300);
   ASSERT_EQ(points.size(), 300U);
@@ -80,7 +80,7 @@ TEST(Photo, PointsLieOnTheSkinNearLandmarks) {
     float nearest = 1;
     for (size_t l = 0; l < landmarks.size(); l += 3)
       nearest = std::min(nearest, (Vec3f(&positions[3 * i]) - Vec3f(&landmarks[l])).norm());
-    EXPECT_LT(nearest, 0.05f);
+    EXPECT_LT(nearest, 0.11f);  // ears and the front of the scalp too
   }
   const LandmarkEmbedding again = choose_photo_points(rig, rig.mesh.vertices, 300);
   EXPECT_EQ(points.triangle, again.triangle);

@@ -8,7 +8,7 @@
 namespace effigy {
 namespace {
 
-constexpr int kPoints = 500;
+constexpr int kPoints = 1000;
 constexpr size_t kMostViews = 150;  // frames that decide what a point looks like
 constexpr double kLeastFacing = 0.3, kFullFacing = 0.6;
 constexpr double kLeastSeen = 3;  // views' worth of weight

@@ -16,7 +16,7 @@ constexpr double kGain = 400;           // of the stored contrast
 constexpr double kSharp = 1.0;          // sigma in window pixels of what is looked at
 constexpr int kCoarse = 4;              // the local mean is taken at a fourth of the size
 constexpr double kCoarseSigma = 2.0;    // there
-constexpr double kNearLandmark = 0.03;  // metres
+constexpr double kNearLandmark = 0.09;  // metres: ears and front of the scalp included
 
 }  // namespace
 

@@ -27,8 +27,9 @@ struct PhotoWindow {
 };
 PhotoWindow photo_window(const Image8& picture, const FaceObservation& face);
 
-// Points of the skin around the landmarks: triangle and barycentrics on `rig`, at most `count`, by
-// area. The same for the same rig.
+// Points of the skin around the landmarks (face, ears, front of the scalp: the face alone hardly
+// tells a nod from an expression): triangle and barycentrics on `rig`, at most `count`, by area.
+// The same for the same rig.
 LandmarkEmbedding choose_photo_points(const Rig& rig, const std::vector<float>& rest, int count);
 
 }  // namespace effigy
