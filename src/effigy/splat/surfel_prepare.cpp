@@ -183,10 +183,12 @@ uint32_t sortable(float x) {
   return (bits & 0x80000000u) ? ~bits : bits | 0x80000000u;
 }
 
-// Stable radix sort of indices 0..n-1 by key, 11 bits a pass.
-std::vector<uint32_t> sort_by_key(const std::vector<uint32_t>& keys) {
+// Stable radix sort of indices 0..n-1 by key, 11 bits a pass, into `order`.
+void sort_by_key(const std::vector<uint32_t>& keys, std::vector<uint32_t>& order,
+                 std::vector<uint32_t>& next) {
   const size_t n = keys.size();
-  std::vector<uint32_t> order(n), next(n);
+  order.resize(n);
+  next.resize(n);
   for (size_t i = 0; i < n; ++i) order[i] = static_cast<uint32_t>(i);
   for (int shift = 0; shift < 32; shift += 11) {
     uint32_t count[2049] = {};
@@ -195,7 +197,6 @@ std::vector<uint32_t> sort_by_key(const std::vector<uint32_t>& keys) {
     for (size_t i = 0; i < n; ++i) next[count[(keys[order[i]] >> shift) & 2047u]++] = order[i];
     order.swap(next);
   }
-  return order;
 }
 
 }  // namespace
@@ -203,31 +204,33 @@ std::vector<uint32_t> sort_by_key(const std::vector<uint32_t>& keys) {
 void prepare_surfels(const Camera& camera, const PosedSurfels& surfels, float near, bool low_pass,
                      SurfelView& view) {
   const size_t n = surfels.count();
-  std::vector<SurfelRecord> records(n);
-  std::vector<SurfelOutline> outlines(n);
-  std::vector<uint8_t> seen(n);
+  view.all_records.resize(n);
+  view.all_outlines.resize(n);
+  view.seen.resize(n);
   parallel_for(n, 512, [&](size_t begin, size_t end, int) {
     for (size_t i = begin; i < end; ++i)
-      seen[i] = prepare_one(camera, surfels, i, near, low_pass, records[i], outlines[i]);
+      view.seen[i] = prepare_one(camera, surfels, i, near, low_pass, view.all_records[i],
+                                 view.all_outlines[i]);
   });
-  std::vector<uint32_t> kept, keys;
-  kept.reserve(n);
-  keys.reserve(n);
+  std::vector<uint32_t>& kept = view.source;
+  kept.clear();
+  view.keys.clear();
   for (size_t i = 0; i < n; ++i) {
-    if (!seen[i]) continue;
+    if (!view.seen[i]) continue;
     kept.push_back(static_cast<uint32_t>(i));
-    keys.push_back(sortable(records[i].center_z));
+    view.keys.push_back(sortable(view.all_records[i].center_z));
   }
-  const std::vector<uint32_t> order = sort_by_key(keys);
+  sort_by_key(view.keys, view.order, view.next_order);
+  for (uint32_t& k : view.order) k = kept[k];
+  kept.swap(view.order);
   view.records.resize(kept.size());
   view.outlines.resize(kept.size());
-  view.source.resize(kept.size());
-  for (size_t k = 0; k < kept.size(); ++k) {
-    const uint32_t i = kept[order[k]];
-    view.records[k] = records[i];
-    view.outlines[k] = outlines[i];
-    view.source[k] = i;
-  }
+  parallel_for(kept.size(), 1024, [&](size_t begin, size_t end, int) {
+    for (size_t k = begin; k < end; ++k) {
+      view.records[k] = view.all_records[kept[k]];
+      view.outlines[k] = view.all_outlines[kept[k]];
+    }
+  });
 }
 
 void surfel_backward(const Camera& camera, const PosedSurfels& surfels, const SurfelRecord& record,

@@ -47,6 +47,13 @@ struct SurfelView {
   std::vector<SurfelRecord> records;    // by depth, ties by index
   std::vector<SurfelOutline> outlines;  // same order
   std::vector<uint32_t> source;         // index into PosedSurfels
+
+  // Scratch of prepare_surfels, kept to keep its memory; per surfel of PosedSurfels, then per
+  // visible one.
+  std::vector<SurfelRecord> all_records;
+  std::vector<SurfelOutline> all_outlines;
+  std::vector<uint8_t> seen;
+  std::vector<uint32_t> keys, order, next_order;
 };
 
 // Surfels that can be seen, sorted by camera z of the centre. Left out: values that are not finite,

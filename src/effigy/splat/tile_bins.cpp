@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "effigy/base/error.h"
+#include "effigy/base/threads.h"
 
 namespace effigy {
 namespace {
@@ -56,10 +57,6 @@ Range rows_of(const SurfelRecord& r, const SurfelOutline& o, int height) {
   return pixels_between(r.anchor_y + top, r.anchor_y + bottom, height);
 }
 
-struct TileSpan {
-  uint16_t row, first, last;
-};
-
 // Calls emit(tile row, first tile column, last tile column) for every tile row the surfel reaches.
 template <typename Emit>
 void for_each_span(const SurfelRecord& r, const SurfelOutline& o, int width, int height,
@@ -81,27 +78,37 @@ void for_each_span(const SurfelRecord& r, const SurfelOutline& o, int width, int
   }
 }
 
+// The spans of each run of kRun surfels.
+void find_spans(const SurfelView& view, int width, int height,
+                std::vector<std::vector<TileSpan>>& spans) {
+  constexpr size_t kRun = 512;
+  const size_t n = view.records.size();
+  spans.resize((n + kRun - 1) / kRun);
+  parallel_for(spans.size(), 1, [&](size_t begin, size_t end, int) {
+    for (size_t run = begin; run < end; ++run) {
+      spans[run].clear();
+      for (size_t i = run * kRun; i < std::min(n, (run + 1) * kRun); ++i)
+        for_each_span(
+            view.records[i], view.outlines[i], width, height, [&](int row, int first, int last) {
+              spans[run].push_back({static_cast<uint32_t>(i), static_cast<uint16_t>(row),
+                                    static_cast<uint16_t>(first), static_cast<uint16_t>(last)});
+            });
+    }
+  });
+}
+
 }  // namespace
 
 void bin_surfels(const SurfelView& view, int width, int height, TileBins& bins) {
   bins.columns = (width + kTileSize - 1) / kTileSize;
   bins.rows = (height + kTileSize - 1) / kTileSize;
   std::vector<uint64_t> count(static_cast<size_t>(bins.count()) + 1, 0);
-  const size_t n = view.records.size();
-  std::vector<TileSpan> spans;
-  std::vector<uint32_t> span_begin(n + 1);
-  spans.reserve(4 * n);
-  for (size_t i = 0; i < n; ++i) {
-    span_begin[i] = static_cast<uint32_t>(spans.size());
-    for_each_span(view.records[i], view.outlines[i], width, height,
-                  [&](int row, int first, int last) {
-                    spans.push_back({static_cast<uint16_t>(row), static_cast<uint16_t>(first),
-                                     static_cast<uint16_t>(last)});
-                    uint64_t* tile = count.data() + static_cast<size_t>(row) * bins.columns + 1;
-                    for (int tx = first; tx <= last; ++tx) ++tile[tx];
-                  });
-  }
-  span_begin[n] = static_cast<uint32_t>(spans.size());
+  find_spans(view, width, height, bins.spans);
+  for (const std::vector<TileSpan>& run : bins.spans)
+    for (const TileSpan& span : run) {
+      uint64_t* tile = count.data() + static_cast<size_t>(span.row) * bins.columns + 1;
+      for (int tx = span.first; tx <= span.last; ++tx) ++tile[tx];
+    }
   for (size_t t = 1; t < count.size(); ++t) count[t] += count[t - 1];
   if (count.back() > 0x7fffffffu)
     throw Error(
@@ -109,14 +116,12 @@ void bin_surfels(const SurfelView& view, int width, int height, TileBins& bins) 
         "large for this image.");
   bins.begin.assign(count.begin(), count.end());
   bins.entries.resize(bins.begin.back());
-  std::vector<uint32_t> next(bins.begin.begin(), bins.begin.end() - 1);
-  for (size_t i = 0; i < n; ++i) {
-    for (uint32_t k = span_begin[i]; k < span_begin[i + 1]; ++k) {
-      uint32_t* tile = next.data() + static_cast<size_t>(spans[k].row) * bins.columns;
-      for (int tx = spans[k].first; tx <= spans[k].last; ++tx)
-        bins.entries[tile[tx]++] = static_cast<uint32_t>(i);
+  bins.next.assign(bins.begin.begin(), bins.begin.end() - 1);
+  for (const std::vector<TileSpan>& run : bins.spans)
+    for (const TileSpan& span : run) {
+      uint32_t* tile = bins.next.data() + static_cast<size_t>(span.row) * bins.columns;
+      for (int tx = span.first; tx <= span.last; ++tx) bins.entries[tile[tx]++] = span.surfel;
     }
-  }
 }
 
 }  // namespace effigy
