@@ -1,5 +1,7 @@
 #include "effigy/head/trainer.h"
 
+#include <algorithm>
+#include <array>
 #include <cmath>
 
 #include "effigy/base/safetensors.h"
@@ -161,6 +163,42 @@ TEST(Trainer, WhatAllFramesShareIsTakenBack) {
   EXPECT_GT(free_mean, held_mean);
 }
 
+TEST(Trainer, JointsAndShapesMoveWhatTheyMovedBefore) {
+  test::ScratchFolder scratch;
+  test::write_tiny_capture(scratch.path());
+  const Capture capture = read_capture(scratch.path());
+  // Weights, and rows of the expression basis where joints share the skin, that changed where the
+  // rig has none, and where it has.
+  const size_t vertices = capture.rig.mesh.vertices.size() / 3, joints = capture.rig.joint_count();
+  const auto shared = [&](size_t v) {
+    const auto row = capture.rig.weights.begin() + static_cast<int64_t>(v * joints);
+    return *std::max_element(row, row + static_cast<int64_t>(joints)) < 0.97f;
+  };
+  const auto changed = [&](bool local) {
+    TrainSettings settings = tiny_settings();
+    settings.local_rig = local;
+    HeadTrainer trainer(capture, settings);
+    for (int i = 0; i < 10; ++i) trainer.step();
+    const RigShape shape = trainer.avatar().shape;
+    std::array<int, 2> without{}, with{};
+    for (size_t i = 0; i < shape.weights.size(); ++i)
+      if (shape.weights[i] != capture.rig.weights[i])
+        ++(capture.rig.weights[i] == 0 ? without : with)[0];
+    for (size_t i = 0; i < shape.expression_basis.size(); i += 3) {
+      const Vec3f before(&capture.rig.expression_basis[i]), after(&shape.expression_basis[i]);
+      if (before != after && shared(i / 3 % vertices))
+        ++(before.norm() < 0.9e-4f ? without : with)[1];
+    }
+    return std::pair(without, with);
+  };
+  const auto [held_without, held_with] = changed(true);
+  EXPECT_EQ(held_without, (std::array<int, 2>{0, 0}));
+  EXPECT_GT(held_with[0], 0);
+  const auto [free_without, free_with] = changed(false);
+  EXPECT_GT(free_without[0], 0);
+  EXPECT_GT(free_without[1], 0);
+}
+
 TEST(Trainer, OneTrainingFrameIsRefused) {
   test::ScratchFolder scratch;
   test::write_tiny_capture(scratch / "c", 2);
@@ -191,6 +229,13 @@ TEST(Settings, PresetsAndOverrides) {
   literal.make_paper_literal();
   EXPECT_TRUE(literal.splat_normal_frame && !literal.divide_by_alpha &&
               literal.uv_distortion_start == 0);
+  // Table 3a's rates of the rig belong to runs of the paper's length.
+  TrainSettings quick = TrainSettings::from_preset("quick");
+  EXPECT_GT(quick.rates.basis, 1e-6);
+  EXPECT_DOUBLE_EQ(TrainSettings::from_preset("paper").rates.basis, 1e-6);
+  quick.make_paper_literal();
+  EXPECT_DOUBLE_EQ(quick.rates.template_vertices, 1e-5);
+  EXPECT_DOUBLE_EQ(quick.rates.weights, 1e-4);
 }
 
 }  // namespace

@@ -59,6 +59,7 @@ void visit_settings(Settings& s, Visit&& visit) {
   visit("refine_pose", s.refine_pose);
   visit("hold_mean_pose", s.hold_mean_pose);
   visit("refine_rig", s.refine_rig);
+  visit("local_rig", s.local_rig);
   visit("final_rate_factor", s.final_rate_factor);
   visit("final_part", s.final_part);
   visit("evaluate_every", s.evaluate_every);
@@ -82,17 +83,29 @@ void check(const TrainSettings& s, const std::string& name) {
 
 }  // namespace
 
+namespace {
+
+// Table 3a.
+void set_paper_rig_rates(LearningRates& rates) {
+  rates.template_vertices = 1e-5;
+  rates.weights = 1e-4;
+  rates.basis = 1e-6;
+}
+
+}  // namespace
+
 TrainSettings TrainSettings::from_preset(const std::string& name) {
   TrainSettings s;
   s.preset = name;
   if (name == "quick") {
-    s.iterations = 4000;
+    s.iterations = 1500;
     s.uv_distortion_start = 500;
   } else if (name == "standard") {
-    s.iterations = 12000;
+    s.iterations = 6000;
   } else if (name == "paper") {
     s.iterations = 60000;
     s.surfels = 41472;
+    set_paper_rig_rates(s.rates);
   } else {
     throw Error("--preset must be quick, standard or paper, not '" + name + "'.");
   }
@@ -112,7 +125,9 @@ void TrainSettings::make_paper_literal() {
   fit_silhouette = false;
   start_from_frames = false;
   hold_mean_pose = false;
+  local_rig = false;
   final_rate_factor = 1;
+  set_paper_rig_rates(rates);
   weights.environment = 0;
   weights.material_prior = 0;
 }

@@ -12,6 +12,8 @@
 namespace effigy {
 namespace {
 
+constexpr float kLeastShape = 1e-4f;  // metres by which a shape moves the vertices it may move
+
 UvDistortion uv_distortion_mode(const std::string& name) {
   if (name == "norm") return UvDistortion::kNorm;
   if (name == "squared") return UvDistortion::kSquared;
@@ -31,6 +33,26 @@ void clear_posed(PosedSurfels& posed, size_t count) {
   for (auto* array : {&posed.center, &posed.s, &posed.t, &posed.opacity, &posed.uv,
                       &posed.uv_per_st, &posed.frame})
     std::fill(array->begin(), array->end(), 0.0f);
+}
+
+// A joint that does not move a vertex would learn to in the poses of the training frames, and tear
+// the surface in others.
+void hold_unweighted(const std::vector<float>& weights, std::vector<float>& gradient) {
+  for (size_t k = 0; k < gradient.size(); ++k)
+    if (weights[k] == 0) gradient[k] = 0;
+}
+
+// So would a shape that does not move a vertex of the neck, where joints share the skin: clears the
+// gradient of its row. Elsewhere shapes may learn what goes with them, such as how hair sits.
+void hold_unshaped(const std::vector<float>& basis, const std::vector<uint8_t>& shared,
+                   std::vector<float>& gradient) {
+  const size_t vertices = shared.size();
+  for (size_t row = 0; 3 * row < gradient.size(); ++row) {
+    if (!shared[row % vertices]) continue;
+    const Eigen::Map<const Vec3f> before(&basis[3 * row]);
+    if (before.squaredNorm() <= kLeastShape * kLeastShape)
+      Eigen::Map<Vec3f>(&gradient[3 * row]).setZero();
+  }
 }
 
 // Rows of skinning weights are kept non-negative and summing to 1.
@@ -204,6 +226,11 @@ void HeadTrainer::State::update_rig(int frame, const RigPose& tracked, LossValue
   g.joint_rotation.assign(tracked.joint_rotation.size(), 0.0f);
   pose_vertices_backward(shape, model.poses[frame], d_bound.vertices, g);
   if (settings.refine_rig) {
+    if (settings.local_rig) {
+      hold_unweighted(model.original.weights, g.weights);
+      hold_unshaped(model.original.expression_basis, shared, g.expression_basis);
+      hold_unshaped(model.original.pose_basis, shared, g.pose_basis);
+    }
     const double f = rate_factor();
     const auto tune = [&](std::vector<float>& values, const std::vector<float>& original,
                           std::vector<float>& gradient, AdamState& state, double rate,

@@ -8,6 +8,8 @@
 namespace effigy {
 namespace {
 
+constexpr float kWholeWeight = 0.98f;  // of the joint that has a vertex for itself
+
 // Streams of the run's random numbers.
 enum RandomStream : uint64_t { kFrameOrder = 1 };
 
@@ -37,6 +39,11 @@ HeadTrainer::State::State(const Capture& capture_in, const TrainSettings& settin
   bind.interpolated_normals = settings.interpolated_normals;
   bind.splat_normal_frame = settings.splat_normal_frame;
   bind.jacobian_to_vertices = settings.jacobian_to_vertices;
+  const size_t joints = capture.rig.joint_count();
+  for (auto row = model.original.weights.begin(); row != model.original.weights.end();
+       row += static_cast<std::ptrdiff_t>(joints))
+    shared.push_back(*std::max_element(row, row + static_cast<std::ptrdiff_t>(joints)) <
+                     kWholeWeight);
   activate_texture(model.material, activation, texture);
   d_texels.assign(texture.texels.size(), 0.0f);
 }
