@@ -7,9 +7,9 @@
 #include <string>
 #include <vector>
 
+#include "base/pickle_writer.h"
 #include "effigy/base/file.h"
 #include "effigy/geometry/mesh.h"
-#include "rig/pickle_writer.h"
 
 namespace effigy::test {
 

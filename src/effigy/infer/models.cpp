@@ -1,55 +1,21 @@
 #include "effigy/infer/models.h"
 
-#include <zip.h>
-
 #include <cstdlib>
-#include <memory>
 
 #include "effigy/base/error.h"
+#include "effigy/base/zip_archive.h"
 
 namespace effigy {
 namespace {
 
 constexpr uint64_t kMostBytes = uint64_t{64} << 20;
 
-// The whole entry of a zip archive; empty when there is none of that name.
-std::vector<uint8_t> zip_entry(zip_t* archive, const std::string& entry, const Path& path) {
-  zip_stat_t information;
-  zip_stat_init(&information);
-  if (zip_stat(archive, entry.c_str(), 0, &information) != 0) return {};
-  if ((information.valid & ZIP_STAT_SIZE) == 0 || information.size > kMostBytes)
-    throw Error(path.string() + ": the entry '" + entry +
-                "' has an impossible size; download the file again.");
-  std::vector<uint8_t> bytes(information.size);
-  zip_file_t* file = zip_fopen(archive, entry.c_str(), 0);
-  const zip_int64_t got = file == nullptr ? -1 : zip_fread(file, bytes.data(), bytes.size());
-  // The checksum is compared when the end is reached.
-  char beyond;
-  const bool sound = file != nullptr && got == static_cast<zip_int64_t>(bytes.size()) &&
-                     zip_fread(file, &beyond, 1) == 0;
-  if (file != nullptr) zip_fclose(file);
-  if (!sound)
-    throw Error(path.string() + ": the entry '" + entry + "' is damaged; download the file again.");
-  return bytes;
-}
-
 void read_task(const Path& path, ModelSet& models) {
-  int code = 0;
-  const std::unique_ptr<zip_t, void (*)(zip_t*)> archive(
-      zip_open(path.c_str(), ZIP_RDONLY | ZIP_CHECKCONS, &code), [](zip_t* zip) {
-        if (zip != nullptr) zip_discard(zip);
-      });
-  if (archive == nullptr)
-    throw Error(path.string() +
-                ": not a face_landmarker.task bundle (it is not a sound zip archive); download it "
-                "again.");
-  models.detector = zip_entry(archive.get(), "face_detector.tflite", path);
-  models.landmarks = zip_entry(archive.get(), "face_landmarks_detector.tflite", path);
-  models.blendshapes = zip_entry(archive.get(), "face_blendshapes.tflite", path);
-  if (models.detector.empty() || models.landmarks.empty())
-    throw Error(path.string() +
-                ": not a face_landmarker.task bundle (face_detector.tflite or "
-                "face_landmarks_detector.tflite is missing in it); download it again.");
+  const ZipArchive archive(path, "face_landmarker.task bundle", "download it again");
+  models.detector = archive.read("face_detector.tflite", kMostBytes);
+  models.landmarks = archive.read("face_landmarks_detector.tflite", kMostBytes);
+  const std::string blendshapes = "face_blendshapes.tflite";
+  if (archive.has(blendshapes)) models.blendshapes = archive.read(blendshapes, kMostBytes);
   models.landmark_count = 478;
   models.landmarks_path = path;
 }

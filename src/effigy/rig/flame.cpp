@@ -8,10 +8,10 @@
 
 #include "effigy/base/error.h"
 #include "effigy/base/json.h"
+#include "effigy/base/npy.h"
+#include "effigy/base/pickle.h"
 #include "effigy/geometry/topology.h"
 #include "effigy/rig/mouth.h"
-#include "effigy/rig/npy.h"
-#include "effigy/rig/pickle.h"
 
 namespace effigy {
 namespace {

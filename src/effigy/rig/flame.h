@@ -17,8 +17,8 @@ struct FlameAssets {
 };
 
 // FLAME 2020 (generic_model.pkl), 2023 (flame2023.pkl) or 2023 Open (flame2023_Open.pkl), by a
-// reader that executes nothing of the file (rig/pickle.h). Which one it is, is told by the names of
-// file and folder, else by the content; Rig::kind says it ("flame-2020", "flame-2023",
+// reader that executes nothing of the file (base/pickle.h). Which one it is, is told by the names
+// of file and folder, else by the content; Rig::kind says it ("flame-2020", "flame-2023",
 // "flame-2023-open"). Coefficients of one version mean nothing to another.
 //
 // All 300 identity and 100 expression directions ("expression_001" ...), then "eyelid_left" and

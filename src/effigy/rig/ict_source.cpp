@@ -9,8 +9,8 @@
 
 #include "effigy/base/error.h"
 #include "effigy/base/json.h"
+#include "effigy/base/npy.h"
 #include "effigy/geometry/atlas.h"
-#include "effigy/rig/npy.h"
 
 namespace effigy::ict {
 

@@ -1,15 +1,14 @@
-#include "effigy/rig/npy.h"
-
-#include <zip.h>
+#include "effigy/base/npy.h"
 
 #include <algorithm>
 #include <bit>
 #include <cmath>
 #include <cstring>
-#include <memory>
 
 #include "effigy/base/error.h"
-#include "effigy/rig/utf8.h"
+#include "effigy/base/half.h"
+#include "effigy/base/utf8.h"
+#include "effigy/base/zip_archive.h"
 
 namespace effigy {
 namespace {
@@ -20,7 +19,6 @@ constexpr size_t kMostDimensions = 32;
 constexpr int64_t kMostElements = int64_t{1} << 32;
 constexpr int kMostItemBytes = 1 << 20;
 constexpr size_t kMostHeader = 1 << 20;
-constexpr zip_int64_t kMostEntries = 10'000;
 constexpr uint64_t kMostArchiveBytes = uint64_t{4} << 30;
 
 [[noreturn]] void damaged(const std::string& name, const std::string& why) {
@@ -118,16 +116,6 @@ std::vector<uint8_t> to_c_order(std::span<const uint8_t> in, const std::vector<i
     }
   }
   return out;
-}
-
-double half_to_double(uint16_t bits) {
-  const int exponent = (bits >> 10) & 31, mantissa = bits & 1023;
-  double value;
-  if (exponent == 31)
-    value = mantissa == 0 ? INFINITY : NAN;
-  else
-    value = exponent == 0 ? std::ldexp(mantissa, -24) : std::ldexp(mantissa + 1024, exponent - 25);
-  return bits & 0x8000 ? -value : value;
 }
 
 template <typename From, typename To>
@@ -283,28 +271,6 @@ class HeaderParser {
   int found_ = 0;
 };
 
-struct ZipCloser {
-  void operator()(zip_t* archive) const { zip_discard(archive); }
-  void operator()(zip_file_t* file) const { zip_fclose(file); }
-};
-
-// One entry of an archive, read by its actual length (the declared one may lie), within `budget`.
-std::vector<uint8_t> read_entry(zip_t* archive, zip_uint64_t index, const std::string& name,
-                                uint64_t& budget) {
-  const std::unique_ptr<zip_file_t, ZipCloser> file(zip_fopen_index(archive, index, 0));
-  if (!file) damaged(name, "an entry that cannot be opened");
-  std::vector<uint8_t> bytes;
-  std::vector<uint8_t> chunk(1 << 18);
-  while (true) {
-    const zip_int64_t got = zip_fread(file.get(), chunk.data(), chunk.size());
-    if (got < 0) damaged(name, "damaged compressed data");
-    if (got == 0) return bytes;
-    if (static_cast<uint64_t>(got) > budget) damaged(name, "more than 4 GiB of data");
-    budget -= static_cast<uint64_t>(got);
-    bytes.insert(bytes.end(), chunk.begin(), chunk.begin() + got);
-  }
-}
-
 // The header of .npy bytes; returns the offset of the data.
 size_t parse_header(std::span<const uint8_t> bytes, const std::string& name, std::string& header) {
   static constexpr uint8_t kMagic[6] = {0x93, 'N', 'U', 'M', 'P', 'Y'};
@@ -405,27 +371,15 @@ NpyArray read_npy(const Path& path) {
 }
 
 std::map<std::string, NpyArray> read_npz(const Path& path) {
-  int code = 0;
-  const std::unique_ptr<zip_t, ZipCloser> archive(zip_open(path.c_str(), ZIP_RDONLY, &code));
-  if (!archive) {
-    zip_error_t error;
-    zip_error_init_with_code(&error, code);
-    const std::string why = zip_error_strerror(&error);
-    zip_error_fini(&error);
-    throw Error(path.string() + ": cannot be read as an .npz archive (" + why +
-                "); check the path, or save it again with numpy.savez.");
-  }
-  const zip_int64_t entries = zip_get_num_entries(archive.get(), 0);
-  if (entries > kMostEntries) damaged(path.string(), "more than 10000 entries");
+  const ZipArchive archive(path, ".npz archive",
+                           "check the path, or save it again with numpy.savez");
   std::map<std::string, NpyArray> arrays;
   uint64_t budget = kMostArchiveBytes;
-  for (zip_int64_t i = 0; i < entries; ++i) {
-    const auto index = static_cast<zip_uint64_t>(i);
-    const char* raw_name = zip_get_name(archive.get(), index, 0);
-    std::string name = raw_name != nullptr ? raw_name : "";
+  for (const std::string& name : archive.names()) {
     if (name.size() < 5 || name.compare(name.size() - 4, 4, ".npy") != 0) continue;
     const std::string full_name = path.string() + ": " + name;
-    const std::vector<uint8_t> bytes = read_entry(archive.get(), index, full_name, budget);
+    const std::vector<uint8_t> bytes = archive.read(name, budget);
+    budget -= bytes.size();
     std::string text;
     parse_header(bytes, full_name, text);
     HeaderParser header(text, full_name);

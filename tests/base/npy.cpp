@@ -1,5 +1,5 @@
 // NumPy files: every type and order, and damaged files.
-#include "effigy/rig/npy.h"
+#include "effigy/base/npy.h"
 
 #include <gtest/gtest.h>
 #include <zip.h>

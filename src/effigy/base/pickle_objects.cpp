@@ -1,6 +1,7 @@
-#include "effigy/rig/pickle_objects.h"
+#include "effigy/base/pickle_objects.h"
 
 #include <algorithm>
+#include <span>
 
 #include "effigy/base/error.h"
 
@@ -14,7 +15,7 @@ struct KnownGlobal {
   const char* name;
   Global global;
 };
-constexpr KnownGlobal kKnownGlobals[] = {
+constexpr KnownGlobal kNumericGlobals[] = {
     {"numpy", "ndarray", Global::kNdarray},
     {"numpy", "dtype", Global::kDtype},
     {"numpy.core.multiarray", "_reconstruct", Global::kReconstruct},
@@ -37,6 +38,24 @@ constexpr KnownGlobal kKnownGlobals[] = {
     {"builtins", "set", Global::kSet},
     {"__builtin__", "frozenset", Global::kFrozenSet},
     {"builtins", "frozenset", Global::kFrozenSet},
+};
+
+constexpr KnownGlobal kTorchGlobals[] = {
+    {"collections", "OrderedDict", Global::kOrderedDict},
+    {"torch._utils", "_rebuild_tensor", Global::kTorchCall},
+    {"torch._utils", "_rebuild_tensor_v2", Global::kTorchCall},
+    {"torch._utils", "_rebuild_parameter", Global::kTorchCall},
+    {"torch.nn.parameter", "Parameter", Global::kTorchCall},
+    {"torch", "FloatStorage", Global::kTorchType},
+    {"torch", "DoubleStorage", Global::kTorchType},
+    {"torch", "HalfStorage", Global::kTorchType},
+    {"torch", "BFloat16Storage", Global::kTorchType},
+    {"torch", "LongStorage", Global::kTorchType},
+    {"torch", "IntStorage", Global::kTorchType},
+    {"torch", "ShortStorage", Global::kTorchType},
+    {"torch", "CharStorage", Global::kTorchType},
+    {"torch", "ByteStorage", Global::kTorchType},
+    {"torch", "BoolStorage", Global::kTorchType},
 };
 
 // For messages: short and printable, whatever the file holds.
@@ -116,6 +135,22 @@ void encode_latin1(const PickleValue& arguments, PickleValue& result, Budget& bu
   }
 }
 
+// OrderedDict() or OrderedDict([[key, value], ...]).
+void fill_dictionary(const PickleValue& arguments, PickleValue& result, Budget& budget,
+                     const std::string& file) {
+  result.kind = Kind::kDict;
+  result.integer = static_cast<int64_t>(Global::kOrderedDict);
+  if (arguments.kind == Kind::kTuple && arguments.items.empty()) return;
+  const PickleValue& pairs = argument(arguments, 0, file);
+  if (pairs.kind != Kind::kList) damaged_pickle(file, "a dictionary of something that is no list");
+  budget.take(2 * sizeof(void*) * pairs.items.size(), file);
+  for (const PickleValue* pair : pairs.items) {
+    if ((pair->kind != Kind::kList && pair->kind != Kind::kTuple) || pair->items.size() != 2)
+      damaged_pickle(file, "a dictionary of something that is no pair");
+    result.items.insert(result.items.end(), pair->items.begin(), pair->items.end());
+  }
+}
+
 // (3, byte order, subtype, names, fields, size, alignment, flags), of which only the order counts.
 void build_type(PickleValue& type, const PickleValue& state, const std::string& file) {
   const PickleValue& order = argument(state, 1, file);
@@ -178,8 +213,12 @@ void Budget::take(uint64_t bytes, const std::string& file) {
   left -= bytes;
 }
 
-Global known_global(const std::string& module, const std::string& global, const std::string& file) {
-  for (const KnownGlobal& known : kKnownGlobals)
+Global known_global(PickleDialect dialect, const std::string& module, const std::string& global,
+                    const std::string& file) {
+  const std::span<const KnownGlobal> known_here =
+      dialect == PickleDialect::kTorch ? std::span<const KnownGlobal>(kTorchGlobals)
+                                       : std::span<const KnownGlobal>(kNumericGlobals);
+  for (const KnownGlobal& known : known_here)
     if (module == known.module && global == known.name) return known.global;
   throw Error(file + ": this pickle asks for the Python object '" + printable(module) + "." +
               printable(global) +
@@ -187,9 +226,10 @@ Global known_global(const std::string& module, const std::string& global, const 
               "trust this file, and download the model again from its publisher.");
 }
 
-void call_global(Global function, const PickleValue& arguments, PickleValue& result, Budget& budget,
-                 const std::string& file) {
-  switch (function) {
+void call_global(const PickleValue& function, const PickleValue& arguments, PickleValue& result,
+                 Budget& budget, const std::string& file) {
+  const auto global = static_cast<Global>(function.integer);
+  switch (global) {
     case Global::kReconstruct:  // (ndarray, (0,), 'b'): an empty array, completed later
       if (argument(arguments, 0, file).text != "ndarray")
         damaged_pickle(file, "a reconstruction of something that is no array");
@@ -238,10 +278,21 @@ void call_global(Global function, const PickleValue& arguments, PickleValue& res
     }
     case Global::kCscMatrix:
     case Global::kCh:
-      new_instance(function, arguments, result, file);
+      new_instance(global, arguments, result, file);
+      return;
+    case Global::kOrderedDict:
+      fill_dictionary(arguments, result, budget, file);
+      return;
+    case Global::kTorchCall:
+      if (arguments.kind != Kind::kTuple) damaged_pickle(file, "a call without its arguments");
+      budget.take(sizeof(void*) * arguments.items.size(), file);
+      result.kind = Kind::kCall;
+      result.text = function.text;
+      result.items = arguments.items;
       return;
     case Global::kNdarray:
     case Global::kObject:
+    case Global::kTorchType:
       break;
   }
   damaged_pickle(file, "a call of something that is not called in model files");
@@ -260,6 +311,11 @@ void new_instance(Global type, const PickleValue& arguments, PickleValue& result
 void build_object(PickleValue& instance, const PickleValue& state, Budget& budget,
                   const std::string& file) {
   if (instance.kind == Kind::kType) return build_type(instance, state, file);
+  // The attributes of an OrderedDict (_metadata) and of a Parameter say nothing about the numbers.
+  if (instance.kind == Kind::kCall ||
+      (instance.kind == Kind::kDict &&
+       instance.integer == static_cast<int64_t>(Global::kOrderedDict)))
+    return;
   if (instance.kind != Kind::kInstance) damaged_pickle(file, "a state for something complete");
   // Objects with slots have a pair of states, the first of which is the usual one.
   const bool pair = state.kind == Kind::kTuple && state.items.size() == 2;

@@ -1,9 +1,9 @@
-// The objects that a pickle may build by name. Private to rig/.
+// The objects that a pickle may build by name. Private to base/.
 #pragma once
 
 #include <string>
 
-#include "effigy/rig/pickle.h"
+#include "effigy/base/pickle.h"
 
 namespace effigy::pickle_detail {
 
@@ -20,10 +20,14 @@ enum class Global {
   kObject,
   kSet,
   kFrozenSet,
+  kOrderedDict,
+  kTorchCall,  // a function or class of torch's whose calls are written down
+  kTorchType,  // a storage type
 };
 
 // What a global of this module and name means. Throws Error for every unknown one.
-Global known_global(const std::string& module, const std::string& global, const std::string& file);
+Global known_global(PickleDialect dialect, const std::string& module, const std::string& global,
+                    const std::string& file);
 
 // Memory that arrays may still take; throws Error when used up.
 struct Budget {
@@ -33,9 +37,9 @@ struct Budget {
 
 [[noreturn]] void damaged_pickle(const std::string& file, const std::string& why);
 
-// function(*arguments), written into `result`.
-void call_global(Global function, const PickleValue& arguments, PickleValue& result, Budget& budget,
-                 const std::string& file);
+// function(*arguments), written into `result`. `function` is of kind kGlobal.
+void call_global(const PickleValue& function, const PickleValue& arguments, PickleValue& result,
+                 Budget& budget, const std::string& file);
 // An instance of a class made without arguments, to be completed by build_object.
 void new_instance(Global type, const PickleValue& arguments, PickleValue& result,
                   const std::string& file);

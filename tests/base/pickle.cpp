@@ -1,10 +1,10 @@
 // The pickle reader: FLAME's forms are read, everything hostile is refused.
-#include "effigy/rig/pickle.h"
+#include "effigy/base/pickle.h"
 
 #include <gtest/gtest.h>
 
+#include "base/pickle_writer.h"
 #include "effigy/base/error.h"
-#include "rig/pickle_writer.h"
 
 namespace effigy {
 namespace {

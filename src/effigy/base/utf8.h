@@ -1,4 +1,4 @@
-// Code points to UTF-8. Private to rig/.
+// Code points to UTF-8. Private to base/.
 #pragma once
 
 #include <cstdint>

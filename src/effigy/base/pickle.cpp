@@ -1,4 +1,4 @@
-#include "effigy/rig/pickle.h"
+#include "effigy/base/pickle.h"
 
 #include <algorithm>
 #include <bit>
@@ -8,8 +8,8 @@
 #include <unordered_map>
 
 #include "effigy/base/error.h"
-#include "effigy/rig/pickle_objects.h"
-#include "effigy/rig/utf8.h"
+#include "effigy/base/pickle_objects.h"
+#include "effigy/base/utf8.h"
 
 namespace effigy {
 
@@ -38,6 +38,7 @@ enum Opcode : uint8_t {
   kLongText = 'L',
   kInt2 = 'M',
   kNoneValue = 'N',
+  kPersistentId = 'Q',
   kReduce = 'R',
   kStringText = 'S',
   kString4 = 'T',
@@ -92,8 +93,8 @@ enum Opcode : uint8_t {
 // freeing them recurses, however deeply they are nested.
 class PickleMachine {
  public:
-  PickleMachine(std::span<const uint8_t> bytes, const std::string& file)
-      : bytes_(bytes), file_(file) {}
+  PickleMachine(std::span<const uint8_t> bytes, const std::string& file, PickleDialect dialect)
+      : bytes_(bytes), file_(file), dialect_(dialect) {}
 
   Pickle run() {
     for (size_t step = 0; step < kMostSteps; ++step)
@@ -195,16 +196,22 @@ class PickleMachine {
   }
 
   void push_global(const std::string& module, const std::string& name) {
-    const Global global = pickle_detail::known_global(module, name, file_);
+    const Global global = pickle_detail::known_global(dialect_, module, name, file_);
     pickle_.globals_.insert(module + "." + name);
     PickleValue* value = push_new(Kind::kGlobal);
     value->integer = static_cast<int64_t>(global);
     value->text = name;
   }
-  Global pop_global() {
+  const PickleValue& pop_global() {
     const PickleValue* value = pop();
     if (value->kind != Kind::kGlobal) damaged_pickle(file_, "a call of something that is no name");
-    return static_cast<Global>(value->integer);
+    return *value;
+  }
+  void push_persistent() {
+    if (dialect_ != PickleDialect::kTorch)
+      damaged_pickle(file_, "a reference to data outside of it");
+    const PickleValue* identifier = pop();
+    push_new(Kind::kPersistent)->items = {identifier};
   }
 
   // Little-endian two's complement of `width` bytes.
@@ -494,14 +501,18 @@ class PickleMachine {
       case kReduce:
       case kNewObject: {
         const PickleValue* arguments = pop();
-        const Global global = pop_global();
+        const PickleValue& global = pop_global();
         PickleValue* result = push_new(Kind::kNone);
         if (opcode == kReduce)
           pickle_detail::call_global(global, *arguments, *result, budget_, file_);
         else
-          pickle_detail::new_instance(global, *arguments, *result, file_);
+          pickle_detail::new_instance(static_cast<Global>(global.integer), *arguments, *result,
+                                      file_);
         return true;
       }
+      case kPersistentId:
+        push_persistent();
+        return true;
       case kBuild: {
         const PickleValue* state = pop();
         pickle_detail::build_object(*top(), *state, budget_, file_);
@@ -509,6 +520,7 @@ class PickleMachine {
       }
       case kStop:
         pickle_.root_ = pop();
+        pickle_.size_ = at_;
         return false;
       default:
         damaged_pickle(file_, "the step " + std::to_string(opcode) +
@@ -518,6 +530,7 @@ class PickleMachine {
 
   std::span<const uint8_t> bytes_;
   const std::string& file_;
+  PickleDialect dialect_;
   size_t at_ = 0;
   Pickle pickle_;
   std::vector<PickleValue*> stack_;
@@ -546,8 +559,9 @@ const PickleValue* PickleValue::find(const std::string& key) const {
   return found;
 }
 
-Pickle parse_pickle(std::span<const uint8_t> bytes, const std::string& name) {
-  return PickleMachine(bytes, name).run();
+Pickle parse_pickle(std::span<const uint8_t> bytes, const std::string& name,
+                    PickleDialect dialect) {
+  return PickleMachine(bytes, name, dialect).run();
 }
 
 Pickle read_pickle(const Path& path) {
