@@ -1,15 +1,14 @@
 #include "effigy/infer/network.h"
 
-#include <ATen/Parallel.h>
 #include <ATen/core/Tensor.h>
 #include <c10/core/InferenceMode.h>
 #include <c10/util/Exception.h>
-#include <dlfcn.h>
 
 #include <algorithm>
 #include <cstring>
 
 #include "effigy/base/error.h"
+#include "effigy/infer/convolution.h"
 #include "effigy/infer/network_steps.h"
 #include "effigy/infer/tflite.h"
 
@@ -57,23 +56,6 @@ struct Network::State {
   }
 };
 
-namespace {
-
-// libtorch's own threads would fight with ours: the networks are too small to gain from them.
-// OpenBLAS has threads of its own, which spin while they wait; libtorch does not know of them.
-void use_one_thread() {
-  static const bool once = [] {
-    using SetThreads = void (*)(int);
-    const auto set = reinterpret_cast<SetThreads>(dlsym(RTLD_DEFAULT, "openblas_set_num_threads"));
-    if (set != nullptr) set(1);
-    return true;
-  }();
-  static_cast<void>(once);
-  if (at::get_num_threads() != 1) at::set_num_threads(1);
-}
-
-}  // namespace
-
 Network::Network(std::unique_ptr<State> state) : state_(std::move(state)) {}
 Network::Network(Network&&) noexcept = default;
 Network& Network::operator=(Network&&) noexcept = default;
@@ -86,7 +68,7 @@ Network Network::from_tflite(std::span<const uint8_t> bytes, const std::string& 
   std::vector<Array> zeros;
   try {
     const c10::InferenceMode guard;
-    use_one_thread();
+    use_torch_threads(1);  // the networks are too small to gain from more
     state->steps = make_steps(state->model, name);
   } catch (const c10::Error& problem) {
     throw Error(name + ": not a sound TFLite network (" + problem.what_without_backtrace() +
@@ -123,7 +105,7 @@ std::vector<Array> Network::run(const std::vector<Array>& inputs) {
   State& state = *state_;
   EFFIGY_CHECK_EQ(inputs.size(), state.input_shapes.size());
   const c10::InferenceMode guard;
-  use_one_thread();
+  use_torch_threads(1);
   for (size_t i = 0; i < inputs.size(); ++i) {
     EFFIGY_CHECK(inputs[i].shape == state.input_shapes[i]);
     EFFIGY_CHECK_EQ(inputs[i].data.size(), static_cast<size_t>(inputs[i].count()));

@@ -1,12 +1,9 @@
 #include "effigy/infer/network_steps.h"
 
-#include <ATen/Context.h>
 #include <ATen/ops/avg_pool2d.h>
 #include <ATen/ops/cat.h>
 #include <ATen/ops/constant_pad_nd.h>
-#include <ATen/ops/conv2d.h>
 #include <ATen/ops/empty.h>
-#include <ATen/ops/mkldnn_convolution.h>
 #include <ATen/ops/relu.h>
 #include <ATen/ops/upsample_bilinear2d.h>
 
@@ -15,6 +12,7 @@
 #include <cstring>
 
 #include "effigy/base/error.h"
+#include "effigy/infer/convolution.h"
 #include "effigy/infer/elementwise.h"
 
 namespace effigy {
@@ -43,18 +41,6 @@ struct Fused {
 void apply(const Fused& fused, at::Tensor& y) {
   if (fused.activation == Activation::kNone) return;
   activate(y.data_ptr<float>(), static_cast<size_t>(y.numel()), fused.activation, fused.slopes);
-}
-
-// libtorch gives single-threaded 1x1 convolutions to its BLAS, which is two to three times slower
-// than oneDNN on large pictures and starts threads of its own; on tiny ones it is the faster.
-at::Tensor convolve(const at::Tensor& x, const at::Tensor& weight, const at::Tensor& bias,
-                    const std::array<int64_t, 2>& stride, const std::array<int64_t, 2>& padding,
-                    const std::array<int64_t, 2>& dilation, int64_t groups) {
-  constexpr int64_t kTiny = 64;
-  static const bool has_onednn = at::globalContext().hasMKLDNN();
-  if (has_onednn && x.size(2) * x.size(3) > kTiny)
-    return at::mkldnn_convolution(x, weight, bias, padding, stride, dilation, groups);
-  return at::conv2d(x, weight, bias, stride, padding, dilation, groups);
 }
 
 at::Tensor nchw(const at::Tensor& x) {
