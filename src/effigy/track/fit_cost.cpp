@@ -11,6 +11,16 @@ namespace {
 
 using RowMatrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
+// Soft-L1 of a residual r with s = |r|^2: rho(s) = 2 d^2 (sqrt(1 + s / d^2) - 1) = |factor r|^2.
+struct SoftL1 {
+  double factor, d_factor;  // sqrt(2 / (1 + q)) with q = sqrt(1 + s / d^2), and its slope in s
+};
+SoftL1 soft_l1(double s, double d) {
+  const double q = std::sqrt(1.0 + s / (d * d));
+  const double factor = std::sqrt(2.0 / (1.0 + q));
+  return {factor, -factor / (4.0 * (1.0 + q) * q * d * d)};
+}
+
 }  // namespace
 
 FrameCost::FrameCost(const FitModel& model, const FrameTarget& target, double robust_at,
@@ -68,15 +78,11 @@ bool FrameCost::Evaluate(double const* const* parameters, double* residuals,
     Eigen::Matrix<double, 2, 3> d_pixel;
     const Vec2d pixel = project_point(world, focal, jacobians != nullptr ? &d_pixel : nullptr);
     const Vec2d raw = weight * (pixel - target_.seen[i]);
-    // Soft-L1: rho(s) = 2 d^2 (sqrt(1 + s / d^2) - 1) = s g(s)^2 with g = sqrt(2 / (1 + q)).
-    const double limit = robust_at_ * robust_at_;
-    const double q = std::sqrt(1.0 + raw.squaredNorm() / limit);
-    const double g = std::sqrt(2.0 / (1.0 + q));
-    residual = g * raw;
+    const SoftL1 soft = soft_l1(raw.squaredNorm(), robust_at_);
+    residual = soft.factor * raw;
     if (jacobians == nullptr) continue;
-    const double d_g = -g / (4.0 * (1.0 + q) * q * limit);  // dg / ds
-    const Eigen::Matrix2d robust =
-        weight * (g * Eigen::Matrix2d::Identity() + 2.0 * d_g * raw * raw.transpose());
+    const Eigen::Matrix2d robust = weight * (soft.factor * Eigen::Matrix2d::Identity() +
+                                             2.0 * soft.d_factor * raw * raw.transpose());
     const Eigen::Matrix<double, 2, 3> chain = robust * d_pixel;
     if (d_focal != nullptr) {
       const Vec2d change = robust * pixel;  // d pixel / d log focal = pixel
@@ -132,14 +138,11 @@ void FrameCost::evaluate_photo(const FitModel::Result& result, double focal, dou
     double value = 0;
     Vec2d slope;
     if (!target_.photo->sample(pixel + target_.center, &value, &slope)) continue;
-    // Soft-L1, as above.
     const double raw = weight * (value - target_.photo_value[k]);
-    const double limit = robust_at_ * robust_at_;
-    const double q = std::sqrt(1.0 + raw * raw / limit);
-    const double g = std::sqrt(2.0 / (1.0 + q));
-    residuals[k] = g * raw;
+    const SoftL1 soft = soft_l1(raw * raw, robust_at_);
+    residuals[k] = soft.factor * raw;
     if (d_frame == nullptr) continue;
-    const double d_raw = g - 2.0 * raw * raw * g / (4.0 * (1.0 + q) * q * limit);
+    const double d_raw = soft.factor + 2.0 * raw * raw * soft.d_factor;
     const Eigen::RowVector3d chain = d_raw * weight * slope.transpose() * d_pixel;
     to_frame.row(k) = chain.lazyProduct(result.d_frame.middleRows<3>(3 * i));
   }
