@@ -157,6 +157,25 @@ TEST(UvCoverage, CountsTexelCentres) {
     for (size_t x = 0; x < 8; ++x) EXPECT_EQ(grown[8 * y + x], y >= 2 && x < 6 ? 1 : 0);
 }
 
+TEST(TexelMap, TexelsKnowTheirPointOfTheSurface) {
+  constexpr int kSize = 16;
+  const Mesh mesh = square();
+  const TexelMap map = texel_map(mesh, kSize);
+  const auto covered = uv_coverage(mesh, kSize);
+  for (int y = 0; y < kSize; ++y)
+    for (int x = 0; x < kSize; ++x) {
+      const size_t t = static_cast<size_t>(y) * kSize + x;
+      ASSERT_EQ(map.triangle[t] >= 0, covered[t] != 0) << x << " " << y;
+      if (map.triangle[t] < 0) continue;
+      const Vec3i& corner = mesh.uv_triangles[map.triangle[t]];
+      const float b = map.barycentric[2 * t], c = map.barycentric[2 * t + 1];
+      const Vec2f uv = (1 - b - c) * mesh.uvs[corner[0]] + b * mesh.uvs[corner[1]] +
+                       c * mesh.uvs[corner[2]];
+      EXPECT_NEAR(uv.x(), (x + 0.5f) / kSize, 1e-6f);
+      EXPECT_NEAR(uv.y(), 1 - (y + 0.5f) / kSize, 1e-6f);
+    }
+}
+
 // Random triangles against a per-texel test of signs, with dilation by brute force.
 TEST(UvCoverage, MatchesBruteForce) {
   std::mt19937 engine(3);

@@ -42,4 +42,13 @@ std::vector<std::pair<int, int>> mesh_edges(const std::vector<Vec3i>& triangles,
 // v = 1), size x size; `dilate` grows it by that many texels.
 std::vector<uint8_t> uv_coverage(const Mesh& mesh, int size, int dilate = 0);
 
+// The point of the surface that each texel of a size x size texture shows (row 0 = top, v = 1).
+struct TexelMap {
+  int size = 0;
+  std::vector<int32_t> triangle;   // per texel; -1: its centre is in no triangle
+  std::vector<float> barycentric;  // 2 per texel: weights of the triangle's second and third corner
+};
+// Where triangles overlap in the atlas the first one counts.
+TexelMap texel_map(const Mesh& mesh, int size);
+
 }  // namespace effigy
