@@ -139,8 +139,9 @@ std::vector<BenchResult> bench_kernels(const BenchOptions& options) {
                             upstream, d_surfels, d_texels);
   }));
 
+  const PlaybackTexture playback_texture(scene.texture);
   results.push_back(measure("head.playback.ns_per_pair", options.repeats, per_pair, [&] {
-    render_surfels_playback(scene.camera, scene.surfels, scene.texture, {}, deferred, frame);
+    render_surfels_playback(scene.camera, scene.surfels, playback_texture, {}, deferred, frame);
   }));
   forward(plain);
   double error = 0.0;

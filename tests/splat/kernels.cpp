@@ -5,6 +5,7 @@
 #include <gtest/gtest.h>
 
 #include <hwy/targets.h>
+#include <bit>
 #include <chrono>
 #include <cstdio>
 
@@ -94,8 +95,14 @@ void expect_planes_near(const oracle::Image& expected, const Planes& actual, int
 
 class SurfelKernelTest : public testing::TestWithParam<SceneCase> {};
 
+// The float with only as many bits as a half has.
+float cut_to_half(float x) {
+  return std::bit_cast<float>(std::bit_cast<uint32_t>(x) & 0xffffe000u);
+}
+
 TEST_P(SurfelKernelTest, ForwardAgreesWithTheOracle) {
-  const RandomScene scene = GetParam().make();
+  RandomScene scene = GetParam().make();
+  for (float& x : scene.texture.texels) x = cut_to_half(x);
   const oracle::Image expected = oracle::render(oracle_scene(scene));
   for (const int64_t target : all_targets()) {
     const UseTarget use(target);
@@ -111,8 +118,8 @@ TEST_P(SurfelKernelTest, ForwardAgreesWithTheOracle) {
     // Playback with a lookup for every surfel is the same picture, without the distortion.
     Drawn played;
     const PlaybackOptions playback{scene.options.near, scene.options.low_pass, 0.0f, 0.0f};
-    render_surfels_playback(scene.camera, scene.surfels, scene.texture, playback, played.gbuffer,
-                            played.frame);
+    render_surfels_playback(scene.camera, scene.surfels, PlaybackTexture(scene.texture), playback,
+                            played.gbuffer, played.frame);
     expect_planes_near(expected, played.gbuffer, kUvDistortion);
     EXPECT_EQ(played.frame.pairs(), drawn.frame.pairs());
   }
@@ -367,8 +374,8 @@ TEST(SurfelPlayback, SharedLookupsAreCloseToALookupForEverySurfel) {
   }
   const auto play = [&](float spread) {
     Drawn drawn;
-    render_surfels_playback(camera, scene.surfels, scene.texture, {0.01f, true, spread, 0.0f},
-                            drawn.gbuffer, drawn.frame);
+    render_surfels_playback(camera, scene.surfels, PlaybackTexture(scene.texture),
+                            {0.01f, true, spread, 0.0f}, drawn.gbuffer, drawn.frame);
     return drawn.gbuffer;
   };
   const Planes every = play(0.0f), shared = play(1.0f);
@@ -379,6 +386,70 @@ TEST(SurfelPlayback, SharedLookupsAreCloseToALookupForEverySurfel) {
     EXPECT_LT(std::sqrt(error / static_cast<double>(every.pixels())), 1e-3) << "plane " << plane;
   }
   EXPECT_NE(every.data, shared.data);  // they did share
+}
+
+// Materials are drawn as the texture's to within a half's rounding.
+TEST(SurfelPlayback, TexelsAreRoundedToHalves) {
+  const RandomScene scene = soup(40, 30, 200, 9, 0.9, 61);
+  const Drawn exact = draw(scene);
+  for (const int64_t target : all_targets()) {
+    const UseTarget use(target);
+    Drawn played;
+    render_surfels_playback(scene.camera, scene.surfels, PlaybackTexture(scene.texture),
+                            {scene.options.near, scene.options.low_pass, 0.0f, 0.0f},
+                            played.gbuffer, played.frame);
+    for (int plane = kAlbedo; plane < kNormal; ++plane)
+      for (size_t i = 0; i < exact.gbuffer.pixels(); ++i)
+        EXPECT_NEAR(exact.gbuffer.plane(plane)[i], played.gbuffer.plane(plane)[i], 6e-4f);
+  }
+}
+
+// only_shading draws its planes like the others and keeps out of the rest.
+TEST(SurfelPlayback, OnlyShadingDrawsTheSamePlanes) {
+  const RandomScene scene = soup(70, 50, 60, 9, 0.8, 62);
+  const PlaybackTexture texture(scene.texture);
+  PlaybackOptions options;
+  Drawn all, some;
+  render_surfels_playback(scene.camera, scene.surfels, texture, options, all.gbuffer, all.frame);
+  options.only_shading = true;
+  some.gbuffer = Planes(70, 50, kGBufferPlanes, 7.0f);
+  render_surfels_playback(scene.camera, scene.surfels, texture, options, some.gbuffer, some.frame);
+  size_t covered = 0;
+  for (size_t i = 0; i < all.gbuffer.pixels(); ++i) {
+    const float alpha = all.gbuffer.plane(kAlpha)[i];
+    EXPECT_EQ(some.gbuffer.plane(kAlpha)[i], alpha);
+    for (const int plane : {int{kDepth}, int{kNormal}, int{kUv}, int{kUvDistortion}})
+      EXPECT_EQ(some.gbuffer.plane(plane)[i], 7.0f);
+    if (alpha == 0.0f) continue;
+    ++covered;
+    for (const int plane : {int{kAlbedo}, int{kAlbedo} + 2, int{kRoughness}, int{kSpecular},
+                            int{kMappedNormal}, int{kMappedNormal} + 2})
+      EXPECT_EQ(some.gbuffer.plane(plane)[i], all.gbuffer.plane(plane)[i]);
+  }
+  EXPECT_GT(covered, 500u);
+}
+
+// What passes a pixel that is done falls on its last surfel: nothing of it is lost.
+TEST(SurfelPlayback, PixelsThatAreDoneAreFull) {
+  const RandomScene scene = soup(64, 64, 1500, 9, 0.8, 63);
+  const PlaybackTexture texture(scene.texture);
+  PlaybackOptions options{scene.options.near, scene.options.low_pass, 0.0f, 0.0f};
+  Drawn all, done;
+  render_surfels_playback(scene.camera, scene.surfels, texture, options, all.gbuffer, all.frame);
+  options.opaque = 0.05f;
+  render_surfels_playback(scene.camera, scene.surfels, texture, options, done.gbuffer, done.frame);
+  size_t full = 0;
+  for (size_t i = 0; i < all.gbuffer.pixels(); ++i) {
+    const float before = all.gbuffer.plane(kAlpha)[i], after = done.gbuffer.plane(kAlpha)[i];
+    if (before > 0.951f) {
+      EXPECT_NEAR(after, 1.0f, 1e-5f);
+      ++full;
+    }
+    EXPECT_GE(after, before - 1e-4f);
+    EXPECT_LE(after, before + 0.05f);
+  }
+  EXPECT_GT(full, 500u);
+  EXPECT_LT(done.frame.pairs(), all.frame.pairs());
 }
 
 TEST(SurfelRasterErrors, SizesThatMakeNoSenseAreRefused) {

@@ -18,11 +18,18 @@ void HeadRenderer::set_pose(const RigPose& pose) {
   pose_surfels(avatar_.rig.mesh, vertices_, avatar_.surfels, avatar_.bind, posed_);
 }
 
+void HeadRenderer::set_exact(bool exact) {
+  exact_ = exact;
+  if (!exact) playback_material_ = PlaybackTexture(avatar_.material);
+}
+
 const Planes& HeadRenderer::draw(const Camera& camera, const std::array<float, 3>& background) {
   if (exact_) {
     render_surfels(camera, posed_, avatar_.material, {}, gbuffer_, frame_);
   } else {
-    render_surfels_playback(camera, posed_, avatar_.material, {}, gbuffer_, frame_);
+    PlaybackOptions options;
+    options.only_shading = true;
+    render_surfels_playback(camera, posed_, playback_material_, options, gbuffer_, frame_);
   }
   ShadeOptions options;
   options.display = avatar_.display;

@@ -14,12 +14,13 @@ class HeadRenderer {
 
   void set_light(const PrefilteredEnvironment& light) { light_ = pack_environment(light); }
   void set_pose(const RigPose& pose);
-  // Exact: every intersection looks up the texture. Playback: one lookup where the UVs agree.
-  void set_exact(bool exact) { exact_ = exact; }
+  // Exact: every intersection looks up the texture. Playback: one lookup where the UVs agree, in
+  // the material as it is now (call again after changing it).
+  void set_exact(bool exact);
 
   // 3 planes, display-encoded, over `background` (display-encoded).
   const Planes& draw(const Camera& camera, const std::array<float, 3>& background = {0, 0, 0});
-  // The G-buffer of the last draw.
+  // The G-buffer of the last draw; in playback only the planes that shading reads.
   const Planes& gbuffer() const { return gbuffer_; }
   const std::vector<float>& vertices() const { return vertices_; }
   const PosedSurfels& posed() const { return posed_; }
@@ -29,6 +30,7 @@ class HeadRenderer {
   const HeadAvatar& avatar_;
   PackedEnvironment light_;
   bool exact_ = true;
+  PlaybackTexture playback_material_;
   std::vector<float> vertices_;
   PosedSurfels posed_;
   SurfelFrame frame_;

@@ -110,7 +110,8 @@ void forward(const SurfelScene& scene, const SurfelTile& tile, SurfelWorkspace& 
     store(lists && tile.count > 0 ? distortion(at, squared, ws) : hn::Zero(df),
           ws.block + at * kForwardPlanes + kUvDistortion * kLanes);
   }
-  store_tile(scene, tile, ws.block, kForwardPlanes, kGBufferPlanes);
+  for (size_t c = 0; c < kGBufferPlanes; ++c)
+    store_plane(scene, tile, ws.block, kForwardPlanes, c, c);
 }
 
 }  // namespace

@@ -18,7 +18,7 @@ namespace HWY_NAMESPACE {
 namespace {
 
 SurfelKernels kernels() {
-  return {&forward, &backward, &playback, hwy::TargetName(HWY_TARGET)};
+  return {&forward, &backward, &playback, &halve, hwy::TargetName(HWY_TARGET)};
 }
 
 }  // namespace

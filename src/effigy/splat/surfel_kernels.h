@@ -22,16 +22,17 @@ inline constexpr size_t kMostPlanes = 32;
 struct SurfelScene {
   const SurfelRecord* records = nullptr;
   const SurfelOutline* outlines = nullptr;
-  const float* texels = nullptr;  // 8 floats each, row 0 = v 0
+  const float* texels = nullptr;          // 8 floats each, row 0 = v 0
+  const uint16_t* half_texels = nullptr;  // playback: 8 half floats each
   int texture_width = 0, texture_height = 0;
   float near = 0.0f;
   bool low_pass = false;
   UvDistortion uv_distortion = UvDistortion::kOff;
   float uv_threshold = 0.0f;
-  float spread = 0.0f;       // playback: texels
-  float negligible = 0.0f;   // playback: transmittance below which any run will do
-  float opaque = 0.0f;       // playback: transmittance below which a pixel is done
-  bool own_normals = false;  // playback: some frame's normal is not the surfel's own
+  float spread = 0.0f;        // playback: texels
+  float opaque = 0.0f;        // playback: transmittance below which a pixel is done
+  bool own_normals = false;   // playback: some frame's normal is not the surfel's own
+  bool only_shading = false;  // playback: draw only the planes that shading reads
   // Forward and playback write, backward reads: plane c of pixel (x, y) is at
   // gbuffer[c * plane_size + y * row_size + x].
   float* gbuffer = nullptr;
@@ -102,6 +103,8 @@ struct SurfelKernels {
                    const SurfelGradientBuffers&);
   // Like forward, without the UV distortion and with shared lookups.
   void (*playback)(const SurfelScene&, const SurfelTile&, SurfelWorkspace&);
+  // Rounds `count` floats, a multiple of 8, to half precision.
+  void (*halve)(const float*, size_t count, uint16_t*);
   const char* target;  // name of the instruction set
 };
 

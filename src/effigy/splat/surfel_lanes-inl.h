@@ -531,23 +531,20 @@ HWY_INLINE void walk(const SurfelScene& scene, const SurfelTile& tile, SurfelWor
   }
 }
 
-// Copies `count` planes of the tile's block to the image; plane c of vector `at` is at
-// block[at * planes + c * kLanes].
-HWY_INLINE void store_tile(const SurfelScene& scene, const SurfelTile& tile, const float* block,
-                           size_t planes, size_t count) {
-  for (size_t c = 0; c < count; ++c) {
-    for (size_t y = 0; y < static_cast<size_t>(tile.height); ++y) {
-      float* to = scene.gbuffer + c * scene.plane_size +
-                  (static_cast<size_t>(tile.y) + y) * scene.row_size + static_cast<size_t>(tile.x);
-      const float* from =
-          block + y / kTall * kTile * kTall * planes + c * kLanes + y % kTall * kWide;
-      for (size_t x = 0; x < static_cast<size_t>(tile.width); x += kWide) {
-        if (x + kWide <= static_cast<size_t>(tile.width))
-          hn::StoreU(hn::Load(dw, from), dw, to + x);
-        else
-          std::copy_n(from, static_cast<size_t>(tile.width) - x, to + x);
-        from += planes * kLanes;
-      }
+// Copies plane `c` of the tile's block of `planes` planes to plane `to_plane` of the image; that of
+// vector `at` is at block[at * planes + c * kLanes].
+HWY_INLINE void store_plane(const SurfelScene& scene, const SurfelTile& tile, const float* block,
+                            size_t planes, size_t c, size_t to_plane) {
+  for (size_t y = 0; y < static_cast<size_t>(tile.height); ++y) {
+    float* to = scene.gbuffer + to_plane * scene.plane_size +
+                (static_cast<size_t>(tile.y) + y) * scene.row_size + static_cast<size_t>(tile.x);
+    const float* from = block + y / kTall * kTile * kTall * planes + c * kLanes + y % kTall * kWide;
+    for (size_t x = 0; x < static_cast<size_t>(tile.width); x += kWide) {
+      if (x + kWide <= static_cast<size_t>(tile.width))
+        hn::StoreU(hn::Load(dw, from), dw, to + x);
+      else
+        std::copy_n(from, static_cast<size_t>(tile.width) - x, to + x);
+      from += planes * kLanes;
     }
   }
 }

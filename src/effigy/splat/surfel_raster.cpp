@@ -1,5 +1,7 @@
 #include "effigy/splat/surfel_raster.h"
 
+#include <sys/mman.h>
+
 #include <algorithm>
 #include <atomic>
 #include <cmath>
@@ -17,8 +19,7 @@ namespace {
 
 constexpr int kLargestTexture = 16384;
 constexpr int kLargestImage = 32768;
-// Playback: the share of a pixel that may take the material of its other part.
-constexpr float kNegligible = 1.0f / 64.0f;
+constexpr std::align_val_t kTexelAlignment{size_t{1} << 21};  // of a huge page
 
 std::atomic<KernelChoice> g_choice{KernelChoice::kBest};
 
@@ -26,7 +27,20 @@ SurfelKernels chosen_kernels() {
   return g_choice == KernelChoice::kScalar ? scalar_surfel_kernels() : best_surfel_kernels();
 }
 
-void check_arguments(const Camera& camera, const PosedSurfels& s, const MaterialTexture& texture) {
+void check_texture(int width, int height) {
+  if (width < 1 || height < 1 || width > kLargestTexture || height > kLargestTexture)
+    throw Error("A texture of " + std::to_string(width) + " x " + std::to_string(height) +
+                " texels cannot be used; each side must be 1 to " +
+                std::to_string(kLargestTexture) + ".");
+}
+
+void check_texture(const MaterialTexture& texture) {
+  check_texture(texture.width, texture.height);
+  EFFIGY_CHECK_EQ(texture.texels.size(),
+                  8 * static_cast<size_t>(texture.width) * static_cast<size_t>(texture.height));
+}
+
+void check_arguments(const Camera& camera, const PosedSurfels& s) {
   const size_t n = s.count();
   EFFIGY_CHECK_EQ(s.center.size(), 3 * n);
   EFFIGY_CHECK_EQ(s.s.size(), 3 * n);
@@ -45,13 +59,6 @@ void check_arguments(const Camera& camera, const PosedSurfels& s, const Material
                      camera.camera_from_world_translation.allFinite();
   if (!sound)
     throw Error("The camera has a focal length of zero or a value that is not finite; check it.");
-  if (texture.width < 1 || texture.height < 1 || texture.width > kLargestTexture ||
-      texture.height > kLargestTexture)
-    throw Error("A texture of " + std::to_string(texture.width) + " x " +
-                std::to_string(texture.height) + " texels cannot be used; each side must be 1 to " +
-                std::to_string(kLargestTexture) + ".");
-  EFFIGY_CHECK_EQ(texture.texels.size(),
-                  8 * static_cast<size_t>(texture.width) * static_cast<size_t>(texture.height));
 }
 
 SurfelTile make_tile(const Camera& camera, const TileBins& bins, int tile) {
@@ -94,6 +101,22 @@ void resize_planes(Planes& planes, int width, int height, int count) {
 
 void choose_surfel_kernels(KernelChoice choice) {
   g_choice = choice;
+}
+
+PlaybackTexture::PlaybackTexture(const MaterialTexture& texture)
+    : width_(texture.width), height_(texture.height) {
+  check_texture(texture);
+  const size_t count = texture.texels.size();
+  texels_.reset(static_cast<uint16_t*>(::operator new(count * sizeof(uint16_t), kTexelAlignment)));
+#ifdef MADV_HUGEPAGE
+  // Lookups are scattered over the texture; failing costs only speed.
+  ::madvise(texels_.get(), count * sizeof(uint16_t), MADV_HUGEPAGE);
+#endif
+  chosen_kernels().halve(texture.texels.data(), count, texels_.get());
+}
+
+void PlaybackTexture::Free::operator()(uint16_t* p) const {
+  ::operator delete(p, kTexelAlignment);
 }
 
 struct SurfelFrame::State {
@@ -220,7 +243,8 @@ bool has_own_normals(const SurfelView& view) {
 void render_surfels(const Camera& camera, const PosedSurfels& surfels,
                     const MaterialTexture& texture, const SurfelRasterOptions& options,
                     Planes& gbuffer, SurfelFrame& frame) {
-  check_arguments(camera, surfels, texture);
+  check_arguments(camera, surfels);
+  check_texture(texture);
   SurfelFrame::State& state = *frame.state;
   resize_planes(gbuffer, camera.width, camera.height, kGBufferPlanes);
   prepare_surfels(camera, surfels, options.near, options.low_pass, state.view);
@@ -231,23 +255,28 @@ void render_surfels(const Camera& camera, const PosedSurfels& surfels,
 }
 
 void render_surfels_playback(const Camera& camera, const PosedSurfels& surfels,
-                             const MaterialTexture& texture, const PlaybackOptions& options,
+                             const PlaybackTexture& texture, const PlaybackOptions& options,
                              Planes& gbuffer, SurfelFrame& frame) {
-  check_arguments(camera, surfels, texture);
+  check_arguments(camera, surfels);
+  check_texture(texture.width(), texture.height());
   SurfelFrame::State& state = *frame.state;
   resize_planes(gbuffer, camera.width, camera.height, kGBufferPlanes);
   prepare_surfels(camera, surfels, options.near, options.low_pass, state.view);
   bin_surfels(state.view, camera.width, camera.height, state.bins);
-  SurfelRasterOptions raster;
-  raster.near = options.near;
-  raster.low_pass = options.low_pass;
-  SurfelScene scene = make_scene(state.view, texture, raster);
+  SurfelScene scene;
+  scene.records = state.view.records.data();
+  scene.outlines = state.view.outlines.data();
+  scene.half_texels = texture.texels();
+  scene.texture_width = texture.width();
+  scene.texture_height = texture.height();
+  scene.near = options.near;
+  scene.low_pass = options.low_pass;
   scene.spread = std::max(0.0f, options.spread_texels);
-  scene.negligible = options.spread_texels > 0.0f ? kNegligible : 0.0f;
   scene.opaque = options.opaque;
-  scene.own_normals = has_own_normals(state.view);
+  scene.only_shading = options.only_shading;
+  scene.own_normals = !options.only_shading && has_own_normals(state.view);
   draw_tiles(camera, scene, chosen_kernels().playback, state, gbuffer);
-  std::fill_n(gbuffer.plane(kUvDistortion), gbuffer.pixels(), 0.0f);
+  if (!options.only_shading) std::fill_n(gbuffer.plane(kUvDistortion), gbuffer.pixels(), 0.0f);
   state.can_go_back = false;
 }
 
@@ -256,7 +285,8 @@ void render_surfels_backward(const Camera& camera, const PosedSurfels& surfels,
                              const Planes& gbuffer, const SurfelFrame& frame,
                              const Planes& d_gbuffer, PosedSurfels& d_surfels,
                              std::vector<float>& d_texels) {
-  check_arguments(camera, surfels, texture);
+  check_arguments(camera, surfels);
+  check_texture(texture);
   SurfelFrame::State& state = *frame.state;
   EFFIGY_CHECK(state.can_go_back);
   EFFIGY_CHECK_EQ(d_surfels.count(), surfels.count());

@@ -79,20 +79,41 @@ void render_surfels(const Camera& camera, const PosedSurfels& surfels,
                     const MaterialTexture& texture, const SurfelRasterOptions& options,
                     Planes& gbuffer, SurfelFrame& frame);
 
+// Material texture as playback reads it: half floats in the order of MaterialTexture (one 16-byte
+// load a tap), which halves what the lookups fetch from memory. Values beyond +-65504 are infinite.
+class PlaybackTexture {
+ public:
+  PlaybackTexture() = default;
+  explicit PlaybackTexture(const MaterialTexture& texture);
+  int width() const { return width_; }
+  int height() const { return height_; }
+  const uint16_t* texels() const { return texels_.get(); }  // height * width * 8
+
+ private:
+  struct Free {
+    void operator()(uint16_t* p) const;
+  };
+  int width_ = 0, height_ = 0;
+  std::unique_ptr<uint16_t[], Free> texels_;
+};
+
 // Playback: as render_surfels without kUvDistortion (that plane is 0), but surfels that follow each
 // other along a ray and agree about the texture coordinate within `spread_texels` share one lookup
-// at their mean. The error is of second order in the spread; at most 1/64 of a pixel takes the
-// material of its other part. 0: a lookup for every surfel.
+// at their mean. The error is of second order in the spread. 0: a lookup for every surfel.
 struct PlaybackOptions {
   float near = 0.01f;
   bool low_pass = true;
   float spread_texels = 1.0f;
-  // A pixel is done once less than this share of light passes what was blended (at most this share
-  // of its colour is left out); 0: as render_surfels.
-  float opaque = 1.0f / 256.0f;
+  // A pixel is done once less than this share of light passes what was blended; its last surfel
+  // takes that share, so alpha is at most this much too large and no larger part of the pixel has
+  // its last surfel's material instead of what lies behind. 0: as render_surfels.
+  float opaque = 1.0f / 64.0f;
+  // Draws the planes that shading reads (alpha, albedo, roughness, F0, mapped normal; where a tile
+  // has no surfels only alpha) and leaves the others as they are.
+  bool only_shading = false;
 };
 void render_surfels_playback(const Camera& camera, const PosedSurfels& surfels,
-                             const MaterialTexture& texture, const PlaybackOptions& options,
+                             const PlaybackTexture& texture, const PlaybackOptions& options,
                              Planes& gbuffer, SurfelFrame& frame);
 
 // Backward of the last render_surfels with the same arguments. `d_gbuffer`: derivative of the loss
