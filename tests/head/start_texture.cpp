@@ -1,4 +1,4 @@
-// What training starts from: holes filled, colours gathered from the frames.
+// What training starts from: colours gathered from the frames.
 #include "effigy/head/start_texture.h"
 
 #include "effigy/head/trainer.h"
@@ -7,54 +7,6 @@
 
 namespace effigy {
 namespace {
-
-TEST(FillByWeight, AnEvenColourHasNoHoles) {
-  const int width = 37, height = 20;
-  std::vector<float> values(2 * width * height, -5.0f), weights(width * height, 0.0f);
-  for (int i = 0; i < width * height; i += 11) {
-    weights[i] = 2.0f;
-    values[2 * i] = 0.25f;
-    values[2 * i + 1] = 0.75f;
-  }
-  fill_by_weight(values, weights, width, height, 2, 1.0f);
-  for (int i = 0; i < width * height; ++i) {
-    EXPECT_NEAR(values[2 * i], 0.25f, 1e-5f) << i;
-    EXPECT_NEAR(values[2 * i + 1], 0.75f, 1e-5f) << i;
-  }
-}
-
-TEST(FillByWeight, WhatIsKnownStaysAndHolesLieBetween) {
-  const int width = 64, height = 64;
-  std::vector<float> values(width * height, 99.0f), weights(width * height, 0.0f);
-  for (int y = 0; y < height; ++y)
-    for (int x = 0; x < width; ++x)
-      if (x < 16 || x >= 48) {
-        values[y * width + x] = x < 16 ? 0.0f : 1.0f;
-        weights[y * width + x] = 1.0f;
-      }
-  fill_by_weight(values, weights, width, height, 1, 1.0f);
-  for (int y = 0; y < height; ++y) {
-    EXPECT_EQ(values[y * width + 5], 0.0f);
-    EXPECT_EQ(values[y * width + 60], 1.0f);
-    for (int x = 16; x < 48; ++x) {
-      EXPECT_GE(values[y * width + x], 0.0f);
-      EXPECT_LE(values[y * width + x], 1.0f);
-    }
-    EXPECT_LT(values[y * width + 18], 0.4f);
-    EXPECT_GT(values[y * width + 45], 0.6f);
-  }
-  // A texel that is seen a little takes a little of its surroundings.
-  std::vector<float> pair = {0.0f, 1.0f}, little = {0.25f, 1.0f};
-  fill_by_weight(pair, little, 2, 1, 1, 1.0f);
-  EXPECT_GT(pair[0], 0.2f);
-  EXPECT_EQ(pair[1], 1.0f);
-}
-
-TEST(FillByWeight, NothingKnownNothingChanged) {
-  std::vector<float> values = {1, 2, 3, 4}, weights(4, 0.0f);
-  fill_by_weight(values, weights, 2, 2, 1, 1.0f);
-  EXPECT_EQ(values, (std::vector<float>{1, 2, 3, 4}));
-}
 
 TrainSettings tiny_settings(bool start) {
   TrainSettings settings = TrainSettings::from_preset("quick");

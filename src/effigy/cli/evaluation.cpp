@@ -11,14 +11,6 @@
 namespace effigy {
 namespace {
 
-// At most `most` of `frames`, evenly spread; 0: all.
-std::vector<int> spread(const std::vector<int>& frames, int most) {
-  if (most <= 0 || frames.size() <= static_cast<size_t>(most)) return frames;
-  std::vector<int> picked;
-  for (int i = 0; i < most; ++i) picked.push_back(frames[frames.size() * i / most]);
-  return picked;
-}
-
 void check_rigs_agree(const HeadAvatar& avatar, const Capture& capture) {
   if (avatar.rig.kind != capture.rig.kind ||
       avatar.rig.expression_names != capture.rig.expression_names ||
@@ -95,7 +87,8 @@ Evaluation evaluate_avatar(const HeadAvatar& avatar, const Capture& capture,
   }
   if (held_out.empty())
     throw Error(capture.folder.string() + ": no tracked frame to score; track the video again.");
-  evaluation.frames = spread(held_out, options.most_frames);
+  evaluation.frames =
+      options.most_frames > 0 ? spread_frames(held_out, options.most_frames) : held_out;
   evaluation.tracker = evaluate_tracker(avatar, capture, evaluation.frames);
   if (options.refined)
     evaluation.refined = evaluate_refined(avatar, capture, evaluation.frames, options.refine_steps);

@@ -20,6 +20,13 @@ void to_planes_masked(const Image8& image, const Image8* mask, Planes& out) {
 
 }  // namespace
 
+std::vector<int> spread_frames(const std::vector<int>& frames, size_t most) {
+  std::vector<int> picked;
+  const size_t count = std::min(frames.size(), most);
+  for (size_t i = 0; i < count; ++i) picked.push_back(frames[i * frames.size() / count]);
+  return picked;
+}
+
 FrameStore::FrameStore(const Capture& capture, size_t budget_bytes)
     : capture_(capture), budget_(budget_bytes) {}
 

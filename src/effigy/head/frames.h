@@ -16,6 +16,9 @@ struct TargetFrame {
   Planes albedo;  // 3 planes, sRGB, empty when the frame has no prior
 };
 
+// At most `most` of `frames`, evenly spread.
+std::vector<int> spread_frames(const std::vector<int>& frames, size_t most);
+
 // Keeps decoded 8-bit frames up to a memory budget; others are decoded each time.
 class FrameStore {
  public:

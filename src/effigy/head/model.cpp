@@ -27,14 +27,6 @@ std::vector<float> triangle_visibility(const Capture& capture, const RigShape& s
   return seen;
 }
 
-// At most `most` frames, evenly spread.
-std::vector<int> spread_frames(const std::vector<int>& frames, size_t most) {
-  std::vector<int> picked;
-  const size_t count = std::min(frames.size(), most);
-  for (size_t i = 0; i < count; ++i) picked.push_back(frames[i * frames.size() / count]);
-  return picked;
-}
-
 }  // namespace
 
 size_t pose_size(const Rig& rig) {
@@ -80,6 +72,7 @@ HeadModel initial_model(const Capture& capture, const TrainSettings& settings) {
   Mesh mesh = capture.rig.mesh;
   mesh.vertices = model.original.rest;
   model.surfels = sample_surfels(mesh, settings.surfels, settings.seed, weight);
+  model.start = model.surfels;
   model.material = make_texture_parameters(uv_mask(mesh, settings.texture_size), {}, {},
                                            TextureLossSettings{}.outside);
   model.environment.assign(static_cast<size_t>(6) * kEnvironmentSize * kEnvironmentSize * 3,

@@ -15,6 +15,7 @@ inline constexpr int kEnvironmentSize = 32;
 
 struct HeadModel {
   BoundSurfels surfels;
+  BoundSurfels start;              // the surfels before training
   RigShape shape;                  // tuned: rest, bases, weights
   RigShape original;               // as tracked
   TextureParameters material;      // raw texture parameters and their moments

@@ -60,6 +60,7 @@ void visit_settings(Settings& s, Visit&& visit) {
   visit("hold_mean_pose", s.hold_mean_pose);
   visit("refine_rig", s.refine_rig);
   visit("local_rig", s.local_rig);
+  visit("restore_unseen", s.restore_unseen);
   visit("final_rate_factor", s.final_rate_factor);
   visit("final_part", s.final_part);
   visit("evaluate_every", s.evaluate_every);
@@ -85,11 +86,12 @@ void check(const TrainSettings& s, const std::string& name) {
 
 namespace {
 
-// Table 3a.
-void set_paper_rig_rates(LearningRates& rates) {
-  rates.template_vertices = 1e-5;
-  rates.weights = 1e-4;
-  rates.basis = 1e-6;
+// Tables 3a and 3b.
+void set_paper_rig(TrainSettings& s) {
+  s.rates.template_vertices = 1e-5;
+  s.rates.weights = 1e-4;
+  s.rates.basis = 1e-6;
+  s.weights.laplacian = 3200;
 }
 
 }  // namespace
@@ -105,7 +107,7 @@ TrainSettings TrainSettings::from_preset(const std::string& name) {
   } else if (name == "paper") {
     s.iterations = 60000;
     s.surfels = 41472;
-    set_paper_rig_rates(s.rates);
+    set_paper_rig(s);
   } else {
     throw Error("--preset must be quick, standard or paper, not '" + name + "'.");
   }
@@ -124,10 +126,11 @@ void TrainSettings::make_paper_literal() {
   refine_pose = false;
   fit_silhouette = false;
   start_from_frames = false;
+  restore_unseen = false;
   hold_mean_pose = false;
   local_rig = false;
   final_rate_factor = 1;
-  set_paper_rig_rates(rates);
+  set_paper_rig(*this);
   weights.environment = 0;
   weights.material_prior = 0;
 }

@@ -21,7 +21,7 @@ struct LearningRates {
   // The rig's (the paper's 1e-5, 1e-4 and 1e-6 are for runs five to fifteen times as long).
   double template_vertices = 3e-4;  // metres
   double weights = 2e-3;
-  double basis = 4e-5;  // metres per unit: expression and pose bases
+  double basis = 2e-5;  // metres per unit: expression and pose bases
   double frame_expression = 2e-3;
   double frame_rotation = 2e-4;     // radians
   double frame_translation = 2e-5;  // metres
@@ -37,7 +37,7 @@ struct LossWeights {
   double uv_distortion = 50;
   double boundary = 1;
   double barycentric = 0.1;
-  double laplacian = 3200;
+  double laplacian = 12800;
   double rig = 0.001;
   double expression = 0.01;
   double material_prior = 0.05;  // roughness towards 0.5, F0 towards 0.05 (squared)
@@ -66,7 +66,8 @@ struct TrainSettings {
   bool refine_pose = true;        // per training frame (rotation, neck, eyes, translation)
   bool hold_mean_pose = true;     // what all frames' refinements share is taken back each epoch
   bool refine_rig = true;         // template, bases, weights
-  bool local_rig = true;  // joints, and shapes in the neck, move only what they moved before
+  bool local_rig = true;       // joints, and shapes in the neck, move only what they moved before
+  bool restore_unseen = true;  // what no training frame shows, at the end (head/unseen.h)
   double final_rate_factor = 0.1;  // rates in the last part of the run, 1: constant
   double final_part = 0.5;         // that part, as a share of the iterations
   int evaluate_every = 1000;       // held-out PSNR in the progress line; 0: never

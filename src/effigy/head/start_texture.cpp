@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "effigy/head/frames.h"
+#include "effigy/head/surface_fill.h"
 #include "effigy/image/colour.h"
 #include "effigy/splat/surfel_raster.h"
 
@@ -47,9 +48,12 @@ void gather_frame(const Planes& gbuffer, const Camera& camera, DisplayTransform 
     }
 }
 
-// [texel][albedo 3, roughness, ...] sums over the frames.
-std::vector<float> gather(const Capture& capture, const std::vector<int>& frames,
-                          const HeadModel& model, int size) {
+}  // namespace
+
+std::vector<float> gather_frames(const Capture& capture, const std::vector<int>& frames,
+                                 const std::vector<RigPose>& poses, const RigShape& shape,
+                                 const BoundSurfels& surfels, const BindOptions& bind, int size,
+                                 const GatherVisitor& visit) {
   const MaterialTexture grey(size, size);
   std::vector<float> sums(grey.texels.size(), 0.0f), vertices;
   PosedSurfels posed, d_posed;
@@ -59,81 +63,24 @@ std::vector<float> gather(const Capture& capture, const std::vector<int>& frames
   TargetFrame target;
   for (const int frame : frames) {
     store.load(frame, target);
-    pose_vertices(model.shape, capture.poses[frame], vertices);
-    pose_surfels(capture.rig.mesh, vertices, model.surfels, {}, posed);
+    pose_vertices(shape, poses[frame], vertices);
+    pose_surfels(capture.rig.mesh, vertices, surfels, bind, posed);
     render_surfels(capture.camera, posed, grey, {}, gbuffer, raster);
     gather_frame(gbuffer, capture.camera, capture.display, target, d_gbuffer);
     d_posed.resize(0);
     d_posed.resize(posed.count());
     render_surfels_backward(capture.camera, posed, grey, {}, gbuffer, raster, d_gbuffer, d_posed,
                             sums);
+    if (visit) visit(vertices, gbuffer, target);
   }
   return sums;
-}
-
-}  // namespace
-
-void fill_by_weight(std::vector<float>& values, const std::vector<float>& weights, int width,
-                    int height, int channels, float enough) {
-  struct Level {
-    int width, height;
-    std::vector<float> value, weight;
-  };
-  std::vector<Level> levels = {{width, height, values, weights}};
-  for (float& w : levels[0].weight) w = std::clamp(w / enough, 0.0f, 1.0f);
-  while (levels.back().width > 1 || levels.back().height > 1) {
-    const Level& fine = levels.back();
-    Level coarse{(fine.width + 1) / 2, (fine.height + 1) / 2, {}, {}};
-    coarse.weight.assign(static_cast<size_t>(coarse.width) * coarse.height, 0.0f);
-    coarse.value.assign(coarse.weight.size() * channels, 0.0f);
-    for (int y = 0; y < fine.height; ++y)
-      for (int x = 0; x < fine.width; ++x) {
-        const size_t from = static_cast<size_t>(y) * fine.width + x;
-        const size_t to = static_cast<size_t>(y / 2) * coarse.width + x / 2;
-        coarse.weight[to] += fine.weight[from];
-        for (int c = 0; c < channels; ++c)
-          coarse.value[to * channels + c] += fine.weight[from] * fine.value[from * channels + c];
-      }
-    for (size_t i = 0; i < coarse.weight.size(); ++i) {
-      if (coarse.weight[i] <= 0) continue;
-      for (int c = 0; c < channels; ++c) coarse.value[i * channels + c] /= coarse.weight[i];
-      coarse.weight[i] = std::min(coarse.weight[i], 1.0f);
-    }
-    levels.push_back(std::move(coarse));
-  }
-  if (levels.back().weight[0] <= 0) return;
-  for (size_t l = levels.size() - 1; l-- > 0;) {
-    const Level& coarse = levels[l + 1];
-    Level& fine = levels[l];
-    for (int y = 0; y < fine.height; ++y)
-      for (int x = 0; x < fine.width; ++x) {
-        const size_t i = static_cast<size_t>(y) * fine.width + x;
-        const float w = fine.weight[i];
-        if (w >= 1) continue;
-        // Bilinear between the coarse texels' centres.
-        const float u = std::clamp(0.5f * (x + 0.5f) - 0.5f, 0.0f, coarse.width - 1.0f);
-        const float v = std::clamp(0.5f * (y + 0.5f) - 0.5f, 0.0f, coarse.height - 1.0f);
-        const int x0 = static_cast<int>(u), y0 = static_cast<int>(v);
-        const int x1 = std::min(x0 + 1, coarse.width - 1), y1 = std::min(y0 + 1, coarse.height - 1);
-        const float a = u - static_cast<float>(x0), b = v - static_cast<float>(y0);
-        for (int c = 0; c < channels; ++c) {
-          const auto at = [&](int p, int q) {
-            return coarse.value[(static_cast<size_t>(q) * coarse.width + p) * channels + c];
-          };
-          const float around = (1 - b) * ((1 - a) * at(x0, y0) + a * at(x1, y0)) +
-                               b * ((1 - a) * at(x0, y1) + a * at(x1, y1));
-          float& value = fine.value[i * channels + c];
-          value = w * value + (1 - w) * around;
-        }
-      }
-  }
-  values = std::move(levels[0].value);
 }
 
 void start_from_frames(const Capture& capture, const TrainSettings& settings,
                        const std::vector<int>& frames, HeadModel& model) {
   const int size = settings.texture_size;
-  const std::vector<float> sums = gather(capture, frames, model, size);
+  const std::vector<float> sums =
+      gather_frames(capture, frames, capture.poses, model.shape, model.surfels, {}, size);
   const size_t texels = static_cast<size_t>(size) * size;
   std::vector<float> colour(3 * texels, 0.0f), weight(texels), bright;
   for (size_t t = 0; t < texels; ++t) {
@@ -148,11 +95,13 @@ void start_from_frames(const Capture& capture, const TrainSettings& settings,
                                          kBrightest * static_cast<double>(bright.size() - 1));
   std::nth_element(bright.begin(), rank, bright.end());
   const float radiance = std::clamp(*rank / kBrightAlbedo, 0.02f, 50.0f);
-  fill_by_weight(colour, weight, size, size, 3, kEnough);
+  Mesh mesh = capture.rig.mesh;
+  mesh.vertices = model.shape.rest;
+  fill_over_surface(mesh, size, 3, kEnough, weight, colour);
 
   MaterialTexture texture;
   activate_texture(model.material, {}, texture);
-  const UvMask mask = uv_mask(capture.rig.mesh, size);
+  const UvMask mask = uv_mask(mesh, size);
   for (size_t t = 0; t < texels; ++t)
     for (size_t c = 0; c < 3 && (mask.flags()[t] & 1) != 0; ++c)
       texture.texels[8 * t + c] =

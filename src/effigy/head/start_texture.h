@@ -3,6 +3,9 @@
 // something sensible.
 #pragma once
 
+#include <functional>
+
+#include "effigy/head/frames.h"
 #include "effigy/head/model.h"
 
 namespace effigy {
@@ -13,11 +16,18 @@ namespace effigy {
 void start_from_frames(const Capture& capture, const TrainSettings& settings,
                        const std::vector<int>& frames, HeadModel& model);
 
-// Fills an image of `channels` interleaved values a pixel from the pixels that have a weight:
-// value = (w value + (1 - w) that of the next coarser level) with w = min(1, weight / enough),
-// level by level (pull-push, Gortler et al. 1996). Pixels whose weight is at least `enough` keep
-// their value. Where there is no weight at all the image is left as it is.
-void fill_by_weight(std::vector<float>& values, const std::vector<float>& weights, int width,
-                    int height, int channels, float enough);
+// What gather_frames shows of each frame it has drawn: the posed vertices, the G-buffer, the frame.
+using GatherVisitor = std::function<void(const std::vector<float>& vertices, const Planes& gbuffer,
+                                         const TargetFrame& target)>;
+
+// What `frames`, with their rig parameters in `poses` (one a frame of the capture), show of each
+// texel of a texture of `size`: [texel][8] sums over all their pixels, 0 to 2 the linear colour
+// times the weight, 3 the weight, the others 0. A pixel's weight is its share of the texel times
+// cos^2 of the angle under which it is seen; pixels near the matte's edge or seen under more than
+// 78 degrees have none.
+std::vector<float> gather_frames(const Capture& capture, const std::vector<int>& frames,
+                                 const std::vector<RigPose>& poses, const RigShape& shape,
+                                 const BoundSurfels& surfels, const BindOptions& bind, int size,
+                                 const GatherVisitor& visit = {});
 
 }  // namespace effigy

@@ -19,15 +19,6 @@ uint64_t peak_memory_bytes() {
   return static_cast<uint64_t>(usage.ru_maxrss) * 1024;
 }
 
-// At most `most` of the held-out frames, evenly spread: enough for a progress line.
-std::vector<int> sample_test_frames(const Capture& capture, size_t most) {
-  const std::vector<int> test = capture.test_frames();
-  std::vector<int> picked;
-  const size_t count = std::min(test.size(), most);
-  for (size_t i = 0; i < count; ++i) picked.push_back(test[i * test.size() / count]);
-  return picked;
-}
-
 // The curve that the report draws: one entry every few iterations.
 class Curve {
  public:
@@ -80,7 +71,7 @@ class TrainRun {
 
   Json run() {
     const TrainSettings& settings = trainer_.settings();
-    const std::vector<int> held_out = sample_test_frames(capture_, 8);
+    const std::vector<int> held_out = spread_frames(capture_.test_frames(), 8);
     const auto begin = std::chrono::steady_clock::now();
     const auto elapsed = [&] {
       return seconds_before_ +
@@ -124,7 +115,7 @@ class TrainRun {
   }
 
   Json finish(double seconds) {
-    HeadAvatar avatar = trainer_.avatar();
+    HeadAvatar avatar = trainer_.finished_avatar();
     if (!options_.consent.empty()) avatar.info["provenance"]["consent"] = options_.consent;
     const int64_t iterations = trainer_.iteration();
     const Json result = {{"iterations", iterations},

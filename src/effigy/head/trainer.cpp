@@ -4,6 +4,7 @@
 #include <numeric>
 
 #include "effigy/head/trainer_state.h"
+#include "effigy/head/unseen.h"
 
 namespace effigy {
 namespace {
@@ -134,6 +135,14 @@ HeadAvatar HeadTrainer::avatar() const {
                    {"made_by", "Effigy " EFFIGY_VERSION},
                    {"synthetic", true}}}};
   return avatar;
+}
+
+HeadAvatar HeadTrainer::finished_avatar() const {
+  HeadAvatar result = avatar();
+  if (state_->settings.restore_unseen)
+    restore_unseen(state_->capture, spread_frames(state_->capture.train_frames(), 40),
+                   state_->model.start, result);
+  return result;
 }
 
 }  // namespace effigy

@@ -27,6 +27,8 @@ class HeadTrainer {
 
   // The avatar as it stands.
   HeadAvatar avatar() const;
+  // The same, with what no training frame shows put back in order (head/unseen.h).
+  HeadAvatar finished_avatar() const;
   const TrainSettings& settings() const;
 
   // Everything needed to go on bit for bit. Loading checks that the checkpoint belongs to this
