@@ -5,6 +5,7 @@
 #include <fstream>
 
 #include "effigy/base/json.h"
+#include "infer/perceptual_files.h"
 #include "support.h"
 #include "tiny_capture.h"
 
@@ -12,6 +13,7 @@ namespace effigy {
 namespace {
 
 using test::contains;
+using test::TorchState;
 
 struct Outcome {
   int code = -1;
@@ -172,6 +174,69 @@ TEST(Commands, InterruptedTrainingResumes) {
   EXPECT_TRUE(contains(read_text(scratch / "err"), "--resume"));
   EXPECT_EQ(run(common + " --resume").code, 0);
   EXPECT_TRUE(std::filesystem::exists(scratch / "avatar/avatar.json"));
+}
+
+// Distances that need networks: measured where their files are, said to be left out elsewhere.
+TEST(Commands, EvalMeasuresPerceptualDistances) {
+  if (!std::filesystem::exists(EFFIGY_BINARY_DIR "/bin/effigy-learn"))
+    GTEST_SKIP() << "effigy-learn is not built";
+  const Path& place = trained();
+  test::ScratchFolder scratch;
+  const Path models = scratch / "models";
+  std::filesystem::create_directories(models / "perceptual");
+  const std::string command = "eval " + (place / "avatar").string() + " " +
+                              (place / "capture").string() + " -o " + (scratch / "eval").string() +
+                              " --frames 1 --refine-steps 1 --light studio --json --models " +
+                              models.string();
+  const auto report = [&] { return read_text(scratch / "eval/report.html"); };
+
+  const Outcome without = run(command);
+  ASSERT_EQ(without.code, 0) << without.err;
+  const Json none = Json::parse(without.out);
+  for (const char* name : {"lpips", "lpips_net", "feature_squeezenet10"})
+    EXPECT_TRUE(none.contains(name) && none[name].is_null()) << name;
+  EXPECT_FALSE(none.contains("lpips_unit_range"));
+  EXPECT_TRUE(contains(none["lpips_note"], "left out: no backbone weights"));
+  EXPECT_TRUE(contains(report(), "LPIPS is left out: no backbone weights"));
+
+  // Heads alone, which are easily had, are not LPIPS.
+  test::write_torch(test::random_heads(test::head_channels("squeeze"), 1), models / "squeeze.pth");
+  const Json heads = Json::parse(run(command).out);
+  EXPECT_TRUE(heads["lpips"].is_null());
+  EXPECT_TRUE(contains(heads["lpips_note"], "squeezenet1_1-*.pth is not there"));
+  const Outcome asked = run(command + " --lpips vgg");
+  EXPECT_EQ(asked.code, 2);
+  EXPECT_TRUE(asked.one_sentence() && contains(asked.err, "vgg16-*.pth")) << asked.err;
+  EXPECT_EQ(run(command + " --lpips-backbone x.pth").code, 2);
+
+  const Path backbone = models / "perceptual/squeezenet1_1-00000000.pth";
+  test::write_torch(test::random_backbone(test::squeeze_layers(), 2), backbone);
+  TorchState squeezenet10 = test::random_backbone(test::squeeze10_layers(), 3);
+  write_text(models / "compressed_SqueezeNet.net", test::deep_compressed(squeezenet10, 4));
+  const Outcome with = run(command);
+  ASSERT_EQ(with.code, 0) << with.err;
+  const Json all = Json::parse(with.out);
+  for (const Json& scores : {all, all["tracker"], all["refined"]}) {
+    EXPECT_EQ(scores["lpips_net"], "squeeze");
+    for (const char* name : {"lpips", "lpips_unit_range", "feature_squeezenet10"}) {
+      ASSERT_TRUE(scores[name].is_number()) << name;
+      EXPECT_GT(scores[name].get<double>(), 0) << name;
+      EXPECT_EQ(scores[name], scores["per_frame"][0][name]) << name;
+    }
+  }
+  EXPECT_FALSE(all.contains("lpips_note"));
+  EXPECT_EQ(all["psnr"], none["psnr"]);  // the other executable, the same scores
+  EXPECT_EQ(all, read_json(scratch / "eval/metrics.json"));
+  EXPECT_TRUE(contains(report(), "LPIPS (squeeze)") && !contains(report(), "left out"));
+
+  const Json off = Json::parse(run(command + " --lpips none").out);
+  EXPECT_TRUE(off["lpips"].is_null() && off["feature_squeezenet10"].is_number());
+  // A file of another network is found out and named.
+  const Outcome wrong = run(command + " --lpips squeeze --lpips-heads " + backbone.string());
+  EXPECT_EQ(wrong.code, 2);
+  EXPECT_TRUE(wrong.one_sentence() && contains(wrong.err, backbone.string()) &&
+              contains(wrong.err, "this is a backbone"))
+      << wrong.err;
 }
 
 }  // namespace

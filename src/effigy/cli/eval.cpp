@@ -5,20 +5,39 @@
 #include "effigy/base/log.h"
 #include "effigy/cli/command_line.h"
 #include "effigy/cli/commands.h"
-#include "effigy/cli/evaluation.h"
+#include "effigy/cli/eval.h"
+#include "effigy/cli/program.h"
 
 namespace effigy {
 
-int run_eval(int argc, char** argv) {
+namespace {
+
+// "  LPIPS (vgg) 0.1234  feature_squeezenet10 0.0456": what was measured of the two.
+std::string distances_line(const FrameScore& mean, const std::string& net) {
+  std::string line;
+  for (const auto& [name, value] : mean.distances) {
+    if (name == "lpips") line += format("  LPIPS ({}) {:.4f}", net, value);
+    if (name == "feature_squeezenet10") line += format("  {} {:.4f}", name, value);
+  }
+  return line;
+}
+
+}  // namespace
+
+int evaluate_command(int argc, char** argv, const DistanceSource& source) {
   CLI::App app(
       "Scores an avatar on a capture's held-out frames and writes metrics.json and report.html.\n"
       "Protocols: tracker (nothing fitted to the test image) and refined (pose and expression "
       "fitted,\n"
-      "avatar frozen). LPIPS is left out: it needs backbone weights that cannot be shipped.\n\n"
+      "avatar frozen). LPIPS and feature_squeezenet10 where their weights are found (--models, "
+      "else "
+      "$EFFIGY_DATA/perceptual;\n"
+      "docs/evaluation.md says which files); LPIPS is left out, and said to be, without them.\n\n"
       "example: effigy eval anna anna-capture -o anna-eval",
       "eval");
   std::string avatar_path, capture_path, output, protocol = "all";
   EvaluationOptions options;
+  PerceptualOptions perceptual;
   CommonOptions common;
   app.add_option("AVATAR", avatar_path, "Avatar folder")->required();
   app.add_option("CAPTURE", capture_path, "Capture folder")->required();
@@ -33,9 +52,28 @@ int run_eval(int argc, char** argv) {
   app.add_option("--light", options.lights,
                  "Lights of the report's relit rows (names or HDR/EXR files)")
       ->delimiter(',');
+  app.add_option("--models", perceptual.models,
+                 "Folder with perceptual weights (default: $EFFIGY_DATA/perceptual)");
+  app.add_option("--lpips", perceptual.lpips,
+                 "Network of LPIPS: vgg, alex, squeeze or none (default: the first whose files are "
+                 "there)")
+      ->check(CLI::IsMember({"auto", "vgg", "alex", "squeeze", "none"}));
+  app.add_option("--lpips-backbone", perceptual.backbone,
+                 "torchvision's weights for --lpips, a .pth file");
+  app.add_option("--lpips-heads", perceptual.heads,
+                 "The lpips package's heads for --lpips, a .pth file");
   add_common(app, common, false, true);
   if (!parse_command_line(app, argc, argv, common)) return 0;
   options.refined = protocol == "all" || protocol == "refined";
+
+  PerceptualFiles files = find_perceptual(perceptual);
+  if (files.any() && !source) {
+    if (can_hand_over()) return hand_over(argc, argv);
+    files = {};
+    files.note = "left out: effigy-learn, which runs the network, is not built";
+  }
+  options.perceptual.lpips_note = files.note;
+  if (files.any()) options.perceptual = source(files);
 
   const HeadAvatar avatar = read_head_avatar(avatar_path);
   const Capture capture = read_capture(capture_path);
@@ -45,16 +83,23 @@ int run_eval(int argc, char** argv) {
     print_json(evaluation.metrics());
   } else {
     const FrameScore m = evaluation.tracker.mean();
-    std::printf("tracker  PSNR %.2f dB  SSIM %.4f  FLIP %.4f  coverage %.4f  (%zu frames)\n",
-                m.psnr, m.ssim, m.flip, m.coverage, evaluation.tracker.frames.size());
+    const std::string& net = evaluation.lpips_net;
+    std::printf("tracker  PSNR %.2f dB  SSIM %.4f  FLIP %.4f%s  coverage %.4f  (%zu frames)\n",
+                m.psnr, m.ssim, m.flip, distances_line(m, net).c_str(), m.coverage,
+                evaluation.tracker.frames.size());
     if (evaluation.refined) {
       const FrameScore r = evaluation.refined->mean();
-      std::printf("refined  PSNR %.2f dB  SSIM %.4f  FLIP %.4f  coverage %.4f\n", r.psnr, r.ssim,
-                  r.flip, r.coverage);
+      std::printf("refined  PSNR %.2f dB  SSIM %.4f  FLIP %.4f%s  coverage %.4f\n", r.psnr, r.ssim,
+                  r.flip, distances_line(r, net).c_str(), r.coverage);
     }
+    if (net.empty()) std::printf("LPIPS %s\n", evaluation.lpips_note.c_str());
     std::printf("%s\n", (Path(output) / "report.html").c_str());
   }
   return 0;
+}
+
+int run_eval(int argc, char** argv) {
+  return evaluate_command(argc, argv, {});
 }
 
 }  // namespace effigy

@@ -89,9 +89,13 @@ Evaluation evaluate_avatar(const HeadAvatar& avatar, const Capture& capture,
     throw Error(capture.folder.string() + ": no tracked frame to score; track the video again.");
   evaluation.frames =
       options.most_frames > 0 ? spread_frames(held_out, options.most_frames) : held_out;
-  evaluation.tracker = evaluate_tracker(avatar, capture, evaluation.frames);
+  evaluation.lpips_net = options.perceptual.lpips_net;
+  evaluation.lpips_note = options.perceptual.lpips_note;
+  const std::vector<ImageDistance>& distances = options.perceptual.distances;
+  evaluation.tracker = evaluate_tracker(avatar, capture, evaluation.frames, distances);
   if (options.refined)
-    evaluation.refined = evaluate_refined(avatar, capture, evaluation.frames, options.refine_steps);
+    evaluation.refined =
+        evaluate_refined(avatar, capture, evaluation.frames, options.refine_steps, distances);
   for (const RelightSet& set : relight_sets(capture))
     evaluation.relight[set.name] = score_relight(avatar, capture, set);
   evaluation.albedo_error = albedo_error(avatar, capture, evaluation.frames);
@@ -103,16 +107,21 @@ Evaluation evaluate_avatar(const HeadAvatar& avatar, const Capture& capture,
 
 Json Evaluation::metrics() const {
   // The top level is the protocol `tracked`, which equals `tracker` without an encoder.
-  Json json = tracker.to_json();
+  const auto with_net = [&](const ProtocolScores& protocol) {
+    Json json = protocol.to_json();
+    json["lpips_net"] = lpips_net.empty() ? Json() : Json(lpips_net);
+    return json;
+  };
+  Json json = with_net(tracker);
   json["split"] = "test";
   json["protocol"] = "tracked";
-  json["tracker"] = tracker.to_json();
-  if (refined) json["refined"] = refined->to_json();
+  json["tracker"] = with_net(tracker);
+  if (refined) json["refined"] = with_net(*refined);
   json["relight"] = Json::object();
   for (const auto& [name, scores] : relight) json["relight"][name] = scores.to_json();
   json["albedo_error"] = albedo_error ? Json(*albedo_error) : Json();
   json["edit"] = edit.to_json();
-  json["lpips_note"] = "left out: no backbone weights";
+  if (lpips_net.empty()) json["lpips_note"] = lpips_note;
   json["seconds"] = seconds;
   return json;
 }

@@ -13,11 +13,19 @@
 
 namespace effigy {
 
+// Distances measured beside the ones that need no network.
+struct PerceptualDistances {
+  std::vector<ImageDistance> distances;  // "lpips", "lpips_unit_range", "feature_squeezenet10"
+  std::string lpips_net;                 // "alex", "vgg" or "squeeze"; empty: left out
+  std::string lpips_note = "left out: no backbone weights";  // why it is left out
+};
+
 struct EvaluationOptions {
   bool refined = true;  // also the protocol `refined`
   int refine_steps = 60;
   int most_frames = 0;                                                 // 0: all held-out frames
   std::vector<std::string> lights = {"studio", "overcast", "sunset"};  // relit in the report
+  PerceptualDistances perceptual;
 };
 
 struct Evaluation {
@@ -26,6 +34,7 @@ struct Evaluation {
   std::optional<ProtocolScores> refined;
   std::map<std::string, RelightScores> relight;  // synthetic captures only
   std::optional<double> albedo_error;            // mean absolute, sRGB, best scale; where known
+  std::string lpips_net, lpips_note;             // as in PerceptualDistances
   EditAccuracy edit;  // of a checker painted on the albedo, over frames and views
   double seconds = 0;
   Json metrics() const;  // metrics.json

@@ -16,6 +16,7 @@ namespace effigy {
 namespace {
 
 constexpr int kFramesShown = 5, kRelitShown = 3;
+constexpr const char* kUnitRange = "lpips_unit_range";
 
 std::vector<size_t> spread_indices(size_t count, size_t most) {
   std::vector<size_t> picked;
@@ -62,20 +63,26 @@ class EvaluationReport {
  private:
   void scores() {
     const FrameScore m = e_.tracker.mean();
-    report_.add_metric_tiles(
-        {{"PSNR", format("{:.2f}", m.psnr), "dB", "whole frame, higher is better"},
-         {"SSIM", format("{:.4f}", m.ssim), "", "higher is better"},
-         {"FLIP", format("{:.4f}", m.flip), "", "lower is better"},
-         {"Coverage", format("{:.4f}", m.coverage), "", "alpha inside the matte"}});
+    std::vector<MetricTile> tiles = {
+        {"PSNR", format("{:.2f}", m.psnr), "dB", "whole frame, higher is better"},
+        {"SSIM", format("{:.4f}", m.ssim), "", "higher is better"},
+        {"FLIP", format("{:.4f}", m.flip), "", "lower is better"}};
+    for (const auto& [name, value] : m.distances)
+      if (name != kUnitRange)
+        tiles.push_back({distance_title(name), format("{:.4f}", value), "", "lower is better"});
+    tiles.push_back({"Coverage", format("{:.4f}", m.coverage), "", "alpha inside the matte"});
+    report_.add_metric_tiles(tiles);
     report_.add_heading("Scores");
     std::vector<std::vector<std::string>> rows = {row("tracker", m)};
     if (e_.refined) rows.push_back(row("refined", e_.refined->mean()));
-    report_.add_table({"protocol", "PSNR dB", "PSNR head dB", "SSIM", "FLIP", "coverage"}, rows,
+    std::vector<std::string> columns = {"protocol", "PSNR dB", "PSNR head dB", "SSIM", "FLIP"};
+    for (const auto& [name, value] : m.distances) columns.push_back(distance_title(name));
+    columns.emplace_back("coverage");
+    report_.add_table(columns, rows,
                       "tracker: parameters from tracking alone, nothing fitted to the test image. "
                       "refined: pose and expression fitted to the test image, the avatar frozen.");
-    report_.add_paragraph(
-        "Frames are 8-bit on black, scored over the whole frame. LPIPS is left out: its backbone's "
-        "weights cannot be shipped.");
+    report_.add_paragraph("Frames are 8-bit on black, scored over the whole frame. " +
+                          distance_note(m));
     LinePlot plot{"PSNR by frame", "frame", "dB", {}, false, false};
     plot.series.push_back(series("tracker", e_.tracker));
     if (e_.refined) plot.series.push_back(series("refined", *e_.refined));
@@ -83,12 +90,29 @@ class EvaluationReport {
   }
 
   static std::vector<std::string> row(const std::string& name, const FrameScore& s) {
-    return {name,
-            format("{:.2f}", s.psnr),
-            format("{:.2f}", s.psnr_foreground),
-            format("{:.4f}", s.ssim),
-            format("{:.4f}", s.flip),
-            format("{:.4f}", s.coverage)};
+    std::vector<std::string> cells = {name, format("{:.2f}", s.psnr),
+                                      format("{:.2f}", s.psnr_foreground), format("{:.4f}", s.ssim),
+                                      format("{:.4f}", s.flip)};
+    for (const auto& [distance, value] : s.distances) cells.push_back(format("{:.4f}", value));
+    cells.push_back(format("{:.4f}", s.coverage));
+    return cells;
+  }
+
+  std::string distance_title(const std::string& name) const {
+    if (name == "lpips") return "LPIPS (" + e_.lpips_net + ")";
+    if (name == kUnitRange) return "LPIPS, [0, 1] input";
+    return name == "feature_squeezenet10" ? "SqueezeNet 1.0 features" : name;
+  }
+
+  std::string distance_note(const FrameScore& mean) const {
+    std::string note = e_.lpips_net.empty() ? "LPIPS is " + e_.lpips_note +
+                                                  " (docs/evaluation.md says which files it needs)."
+                                            : "LPIPS, [0, 1] input: without the step to [-1, 1], a "
+                                              "slip of much of the literature, only for "
+                                              "comparison with it.";
+    if (mean.distances.count("feature_squeezenet10") != 0)
+      note += " SqueezeNet 1.0 features: unweighted; not to be compared with LPIPS.";
+    return note;
   }
 
   Series series(const std::string& name, const ProtocolScores& scores) const {

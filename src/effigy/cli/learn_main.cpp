@@ -4,6 +4,8 @@
 #include "effigy/cli/program.h"
 
 int main(int argc, char** argv) {
-  return effigy::run_program({{"track", effigy::run_track, "a talking-head video to a capture"}},
-                             argc, argv);
+  return effigy::run_program(
+      {{"track", effigy::run_track, "a talking-head video to a capture"},
+       {"eval", effigy::run_eval_learn, "metrics and a report, with perceptual distances"}},
+      argc, argv);
 }

@@ -1,7 +1,10 @@
 #include "effigy/cli/program.h"
 
+#include <unistd.h>
+
 #include <cstdio>
 #include <cstring>
+#include <filesystem>
 #include <new>
 
 #include "effigy/base/error.h"
@@ -18,6 +21,12 @@ void print_usage(const std::vector<Command>& commands, std::FILE* out) {
   for (const Command& command : commands)
     std::fprintf(out, "  %-9s %s\n", command.name, command.summary);
   std::fputs("\n  example: effigy demo -o demo\n", out);
+}
+
+std::string learn_program() {
+  std::error_code error;
+  const auto self = std::filesystem::read_symlink("/proc/self/exe", error);
+  return (self.parent_path() / "effigy-learn").string();
 }
 
 int complain(const std::string& sentence, int code) {
@@ -58,6 +67,21 @@ int run_program(const std::vector<Command>& commands, int argc, char** argv) {
     }
   }
   return complain("Unknown command '" + name + "'; see 'effigy --help'.", 2);
+}
+
+bool can_hand_over() {
+  std::error_code error;
+  return std::filesystem::exists(learn_program(), error);
+}
+
+int hand_over(int argc, char** argv) {
+  const std::string learn = learn_program();
+  std::vector<char*> arguments = {const_cast<char*>(learn.c_str())};
+  for (int i = 0; i < argc; ++i) arguments.push_back(argv[i]);
+  arguments.push_back(nullptr);
+  execv(learn.c_str(), arguments.data());
+  throw Error("Cannot start " + learn + "; build it with ./effigy or cmake --build build/release.",
+              Blame::kResource);
 }
 
 }  // namespace effigy

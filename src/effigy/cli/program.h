@@ -17,4 +17,10 @@ struct Command {
 // results only.
 int run_program(const std::vector<Command>& commands, int argc, char** argv);
 
+// Replaces this process by effigy-learn, which stands beside it, with the same arguments. Throws
+// Error when it cannot be started.
+int hand_over(int argc, char** argv);
+// Whether effigy-learn is there.
+bool can_hand_over();
+
 }  // namespace effigy

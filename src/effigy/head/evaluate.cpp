@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 
 #include "effigy/base/progress.h"
 #include "effigy/head/model.h"
@@ -124,35 +125,53 @@ FrameScore ProtocolScores::mean() const {
     sum.ssim += f.ssim;
     sum.coverage += f.coverage;
     sum.flip += f.flip;
+    for (const auto& [name, value] : f.distances) sum.distances[name] += value;
   }
   const double n = std::max<size_t>(1, frames.size());
-  return {0, sum.psnr / n, sum.psnr_foreground / n, sum.ssim / n, sum.coverage / n, sum.flip / n};
+  for (auto& [name, value] : sum.distances) value /= n;
+  return {0,
+          sum.psnr / n,
+          sum.psnr_foreground / n,
+          sum.ssim / n,
+          sum.coverage / n,
+          sum.flip / n,
+          sum.distances};
 }
 
 Json ProtocolScores::to_json() const {
   const FrameScore m = mean();
   Json per_frame = Json::array();
-  for (const FrameScore& f : frames)
-    per_frame.push_back(
-        {{"frame", f.frame}, {"psnr", f.psnr}, {"ssim", f.ssim}, {"coverage", f.coverage}});
-  return {{"frames", frames.size()},
-          {"psnr", m.psnr},
-          {"psnr_foreground", m.psnr_foreground},
-          {"ssim", m.ssim},
-          {"coverage", m.coverage},
-          {"flip", m.flip},
-          {"lpips", nullptr},
-          {"feature_squeezenet10", nullptr},
-          {"per_frame", per_frame}};
+  for (const FrameScore& f : frames) {
+    Json entry = {{"frame", f.frame},
+                  {"psnr", f.psnr},
+                  {"ssim", f.ssim},
+                  {"coverage", f.coverage},
+                  {"flip", f.flip}};
+    for (const auto& [name, value] : f.distances) entry[name] = value;
+    per_frame.push_back(std::move(entry));
+  }
+  Json json = {{"frames", frames.size()},
+               {"psnr", m.psnr},
+               {"psnr_foreground", m.psnr_foreground},
+               {"ssim", m.ssim},
+               {"coverage", m.coverage},
+               {"flip", m.flip},
+               {"lpips", nullptr},
+               {"feature_squeezenet10", nullptr},
+               {"per_frame", per_frame}};
+  for (const auto& [name, value] : m.distances) json[name] = value;
+  return json;
 }
 
 FrameScore score_frame(const Planes& colour, const Planes& gbuffer, const TargetFrame& target,
-                       double neck_line) {
+                       double neck_line, const std::vector<ImageDistance>& distances) {
   const Image rendered = rounded(colour), truth = rounded(target.image);
   FrameScore score;
   score.psnr = psnr(truth, rendered);
   score.ssim = ssim(truth, rendered);
   score.flip = flip(truth, rendered);
+  for (const ImageDistance& distance : distances)
+    score.distances[distance.name] = distance.between(truth, rendered);
   Image foreground(colour.width, colour.height, 1);
   for (int y = 0; y < colour.height && y + 0.5 < neck_line; ++y)
     for (int x = 0; x < colour.width; ++x)
@@ -183,27 +202,34 @@ double neck_row(const HeadAvatar& avatar, const std::vector<float>& vertices,
 }
 
 ProtocolScores evaluate_tracker(const HeadAvatar& avatar, const Capture& capture,
-                                const std::vector<int>& frames) {
+                                const std::vector<int>& frames,
+                                const std::vector<ImageDistance>& distances) {
   ProtocolScores scores;
   HeadRenderer renderer(avatar);
   FrameStore store(capture, 0);
   TargetFrame target;
+  std::optional<Progress> progress;  // these take seconds a frame
+  if (!distances.empty())
+    progress.emplace("scoring test frames", "frames", static_cast<int64_t>(frames.size()));
   for (int frame : frames) {
     throw_if_interrupted();
     store.load(frame, target);
     renderer.set_pose(capture.poses[frame]);
     const Planes& colour = renderer.draw(capture.camera);
-    FrameScore score = score_frame(colour, renderer.gbuffer(), target,
-                                   neck_row(avatar, renderer.vertices(), capture.camera));
+    FrameScore score =
+        score_frame(colour, renderer.gbuffer(), target,
+                    neck_row(avatar, renderer.vertices(), capture.camera), distances);
     score.frame = frame;
     scores.frames.push_back(score);
     scores.poses.push_back(capture.poses[frame]);
+    if (progress) progress->update(static_cast<int64_t>(scores.frames.size()));
   }
   return scores;
 }
 
 ProtocolScores evaluate_refined(const HeadAvatar& avatar, const Capture& capture,
-                                const std::vector<int>& frames, int steps) {
+                                const std::vector<int>& frames, int steps,
+                                const std::vector<ImageDistance>& distances) {
   ProtocolScores scores;
   HeadRenderer renderer(avatar);
   PoseRefiner refiner(avatar, capture.camera);
@@ -215,8 +241,9 @@ ProtocolScores evaluate_refined(const HeadAvatar& avatar, const Capture& capture
     const RigPose pose = refiner.refine(capture.poses[frames[i]], target, steps);
     renderer.set_pose(pose);
     const Planes& colour = renderer.draw(capture.camera);
-    FrameScore score = score_frame(colour, renderer.gbuffer(), target,
-                                   neck_row(avatar, renderer.vertices(), capture.camera));
+    FrameScore score =
+        score_frame(colour, renderer.gbuffer(), target,
+                    neck_row(avatar, renderer.vertices(), capture.camera), distances);
     score.frame = frames[i];
     scores.frames.push_back(score);
     scores.poses.push_back(pose);

@@ -1,0 +1,18 @@
+// effigy eval, shared by both executables: only effigy-learn can run the networks of perceptual
+// distances.
+#pragma once
+
+#include <functional>
+
+#include "effigy/cli/evaluation.h"
+#include "effigy/cli/perceptual_files.h"
+
+namespace effigy {
+
+// The distances that the files make possible.
+using DistanceSource = std::function<PerceptualDistances(const PerceptualFiles& files)>;
+
+// Without a source the command is handed over to effigy-learn when there are such files.
+int evaluate_command(int argc, char** argv, const DistanceSource& source);
+
+}  // namespace effigy
