@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "effigy/head/frames.h"
 #include "effigy/head/silhouette.h"
 #include "effigy/head/start_texture.h"
 

@@ -48,12 +48,10 @@ void gather_frame(const Planes& gbuffer, const Camera& camera, DisplayTransform 
     }
 }
 
-}  // namespace
-
-std::vector<float> gather_frames(const Capture& capture, const std::vector<int>& frames,
-                                 const std::vector<RigPose>& poses, const RigShape& shape,
-                                 const BoundSurfels& surfels, const BindOptions& bind, int size,
-                                 const GatherVisitor& visit) {
+// [texel][8] sums over all pixels of `frames`: 0 to 2 the linear colour times the weight, 3 the
+// weight.
+std::vector<float> gather(const Capture& capture, const std::vector<int>& frames,
+                          const HeadModel& model, int size) {
   const MaterialTexture grey(size, size);
   std::vector<float> sums(grey.texels.size(), 0.0f), vertices;
   PosedSurfels posed, d_posed;
@@ -63,24 +61,24 @@ std::vector<float> gather_frames(const Capture& capture, const std::vector<int>&
   TargetFrame target;
   for (const int frame : frames) {
     store.load(frame, target);
-    pose_vertices(shape, poses[frame], vertices);
-    pose_surfels(capture.rig.mesh, vertices, surfels, bind, posed);
+    pose_vertices(model.shape, capture.poses[frame], vertices);
+    pose_surfels(capture.rig.mesh, vertices, model.surfels, {}, posed);
     render_surfels(capture.camera, posed, grey, {}, gbuffer, raster);
     gather_frame(gbuffer, capture.camera, capture.display, target, d_gbuffer);
     d_posed.resize(0);
     d_posed.resize(posed.count());
     render_surfels_backward(capture.camera, posed, grey, {}, gbuffer, raster, d_gbuffer, d_posed,
                             sums);
-    if (visit) visit(vertices, gbuffer, target);
   }
   return sums;
 }
 
+}  // namespace
+
 void start_from_frames(const Capture& capture, const TrainSettings& settings,
                        const std::vector<int>& frames, HeadModel& model) {
   const int size = settings.texture_size;
-  const std::vector<float> sums =
-      gather_frames(capture, frames, capture.poses, model.shape, model.surfels, {}, size);
+  const std::vector<float> sums = gather(capture, frames, model, size);
   const size_t texels = static_cast<size_t>(size) * size;
   std::vector<float> colour(3 * texels, 0.0f), weight(texels), bright;
   for (size_t t = 0; t < texels; ++t) {

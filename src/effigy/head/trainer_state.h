@@ -53,7 +53,7 @@ struct HeadTrainer::State {
   Prefilter prefilter{kEnvironmentSize};
   UniformLaplacian laplacian;
   UvMask mask;
-  std::vector<uint8_t> shared;                  // per vertex of the rig: several joints move it
+  std::vector<uint8_t> shared;  // per vertex of the rig: several joints move it
   TextureActivation activation;
   ShadeOptions shade;
   BindOptions bind;

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <array>
 
-#include "effigy/head/start_texture.h"
+#include "effigy/head/frames.h"
 #include "effigy/head/surface_fill.h"
 
 namespace effigy {
@@ -15,12 +15,11 @@ constexpr float kInside = 0.5f;   // of the matte
 constexpr float kFacing = 0.2f;   // cosine under which a front does not count as seen
 constexpr float kMost = 0.95f;    // share of the frames that counts as all
 constexpr float kReach = 1.5f;    // standard deviations at which a surfel is tested
-constexpr float kEnough = 0.25f;  // pixels' worth of weight (gather_frames) that decide a texel
 
-// What the frames show of a surfel or a triangle: in how many something of it is in view, in how
-// many its front is, and in how many it stands out of the matte.
+// What the frames show of a surfel or a triangle: in how many it is in the picture; of these, in
+// how many all of it is hidden, its front is seen, it reaches out of the matte.
 struct Sight {
-  int in_view = 0, hidden = 0, front = 0;
+  int in_view = 0, hidden = 0, front = 0, outside = 0;
 };
 
 enum class Point : uint8_t { kOutOfView, kHidden, kEdgeOn, kFront, kOutside };
@@ -51,6 +50,7 @@ void count(const std::array<Vec3f, 5>& points, const Vec3f& normal, const Camera
   sight.in_view += most != Point::kOutOfView;
   sight.hidden += most == Point::kHidden;
   sight.front += most == Point::kFront;
+  sight.outside += most == Point::kOutside;
 }
 
 void look_at_surfels(const PosedSurfels& posed, const Camera& camera, const Planes& gbuffer,
@@ -75,16 +75,15 @@ void look_at_triangles(const Mesh& mesh, const std::vector<float>& vertices, con
   }
 }
 
-// gather_frames' weights of the texels, without what shines through from triangles whose front no
-// frame shows.
-std::vector<float> texel_weights(const std::vector<float>& sums,
-                                 const std::vector<Sight>& triangles, const Mesh& mesh, int size) {
-  std::vector<float> weights(sums.size() / kTexelFloats);
-  for (size_t t = 0; t < weights.size(); ++t) weights[t] = sums[kTexelFloats * t + 3];
+// Per texel: 0 in triangles of which the frames do not show the front, else 1.
+std::vector<float> texel_weights(const std::vector<Sight>& triangles, const Mesh& mesh, int size) {
   const TexelMap map = texel_map(mesh, size);
+  std::vector<float> weights(map.triangle.size(), 1.0f);
   for (size_t t = 0; t < weights.size(); ++t) {
+    if (map.triangle[t] < 0) continue;
+    const Sight& sight = triangles[map.triangle[t]];
     const size_t row = t / static_cast<size_t>(size), column = t % static_cast<size_t>(size);
-    if (map.triangle[t] >= 0 && triangles[map.triangle[t]].front == 0)
+    if (sight.front + sight.outside == 0)
       weights[(static_cast<size_t>(size) - 1 - row) * static_cast<size_t>(size) + column] = 0;
   }
   return weights;
@@ -115,16 +114,21 @@ size_t restore_unseen(const Capture& capture, const std::vector<int>& frames,
   EFFIGY_CHECK(start.count() == avatar.surfels.count());
   const Mesh& mesh = avatar.rig.mesh;
   std::vector<Sight> sights(start.count()), triangles(mesh.triangles.size());
-  PosedSurfels posed;
-  const auto look = [&](const std::vector<float>& vertices, const Planes& gbuffer,
-                        const TargetFrame& target) {
-    pose_surfels(mesh, vertices, start, avatar.bind, posed);
-    look_at_surfels(posed, capture.camera, gbuffer, target.mask, sights);
+  std::vector<float> vertices;
+  PosedSurfels posed, posed_start;
+  SurfelFrame raster;
+  Planes gbuffer;
+  FrameStore store(capture, 0);
+  TargetFrame target;
+  for (const int frame : frames) {
+    store.load(frame, target);
+    pose_vertices(avatar.shape, avatar.tracks.at("train").poses[frame], vertices);
+    pose_surfels(mesh, vertices, avatar.surfels, avatar.bind, posed);
+    render_surfels(capture.camera, posed, avatar.material, {}, gbuffer, raster);
+    pose_surfels(mesh, vertices, start, avatar.bind, posed_start);
+    look_at_surfels(posed_start, capture.camera, gbuffer, target.mask, sights);
     look_at_triangles(mesh, vertices, capture.camera, gbuffer, target.mask, triangles);
-  };
-  const std::vector<float> sums =
-      gather_frames(capture, frames, avatar.tracks.at("train").poses, avatar.shape, avatar.surfels,
-                    avatar.bind, avatar.material.width, look);
+  }
   size_t restored = 0;
   for (size_t i = 0; i < start.count(); ++i) {
     if (!is_unseen(sights[i])) continue;
@@ -132,7 +136,7 @@ size_t restore_unseen(const Capture& capture, const std::vector<int>& frames,
     ++restored;
   }
   const int size = avatar.material.width;
-  fill_over_surface(mesh, size, kTexelFloats, kEnough, texel_weights(sums, triangles, mesh, size),
+  fill_over_surface(mesh, size, kTexelFloats, 1.0f, texel_weights(triangles, mesh, size),
                     avatar.material.texels);
   return restored;
 }

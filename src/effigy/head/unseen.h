@@ -9,9 +9,9 @@
 namespace effigy {
 
 // Surfels of `start` that lie behind the avatar's own surface in nearly all of `frames` (indices
-// into capture.frames) replace the trained ones. Materials of texels of which
-// the frames show little are filled from those around them (fill_over_surface); what they show well
-// keeps its bits. Returns how many surfels were replaced.
+// into capture.frames) replace the trained ones. Texels of triangles of which no
+// frame shows the front are filled from those near them (fill_over_surface); others keep their
+// bits. Returns how many surfels were replaced.
 size_t restore_unseen(const Capture& capture, const std::vector<int>& frames,
                       const BoundSurfels& start, HeadAvatar& avatar);
 
