@@ -21,7 +21,7 @@ Path scratch(const std::string& name) {
 }
 
 TEST(BuiltinLights, HaveMeanRadianceOneAndRange) {
-  ASSERT_EQ(builtin_light_names().size(), 3u);
+  ASSERT_EQ(builtin_light_names().size(), 4u);
   for (const std::string& name : builtin_light_names()) {
     const Image image = builtin_light(name);
     EXPECT_EQ(image.width, 256);

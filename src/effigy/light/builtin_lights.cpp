@@ -83,6 +83,18 @@ Vec3d sunset(const Vec3d& d) {
   return light;
 }
 
+Vec3d window(const Vec3d& d) {
+  static const Vec3d pane = from_angles(78, 24), lamp = from_angles(-115, 38);
+  // A room: pale ceiling, darker walls, wooden floor, lit by one tall window and a lamp.
+  const double up = smoothstep(0.55, 0.75, d.y()), down = smoothstep(0.5, 0.7, -d.y());
+  Vec3d light = Vec3d(0.30, 0.28, 0.25) * (0.6 + 0.4 * d.x());
+  light += up * (Vec3d(0.62, 0.60, 0.56) - light);
+  light += down * (Vec3d(0.16, 0.11, 0.07) - light);
+  light += Vec3d(13.0, 15.0, 18.0) * soft_box(d, pane, 0.42, 0.75, 0.03);
+  light += Vec3d(60.0, 36.0, 16.0) * (1.0 - smoothstep(0.07, 0.09, (d - lamp).norm()));
+  return light;
+}
+
 Image paint(const Light& light) {
   Image image(kWidth, kHeight, 3);
   double total = 0.0, weights = 0.0;
@@ -110,15 +122,16 @@ Image paint(const Light& light) {
 }  // namespace
 
 std::vector<std::string> builtin_light_names() {
-  return {"studio", "overcast", "sunset"};
+  return {"studio", "overcast", "sunset", "window"};
 }
 
 Image builtin_light(const std::string& name) {
   if (name == "studio") return paint(studio);
   if (name == "overcast") return paint(overcast);
   if (name == "sunset") return paint(sunset);
+  if (name == "window") return paint(window);
   throw Error("There is no built-in light named \"" + name +
-              "\"; choose studio, overcast or sunset.");
+              "\"; choose studio, overcast, sunset or window.");
 }
 
 }  // namespace effigy
