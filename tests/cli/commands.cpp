@@ -2,6 +2,7 @@
 
 #include <sys/wait.h>
 
+#include <cmath>
 #include <fstream>
 
 #include "effigy/base/json.h"
@@ -59,8 +60,8 @@ TEST(Commands, HelpAndVersion) {
   EXPECT_EQ(run("--version").code, 0);
   const Outcome help = run("--help");
   EXPECT_EQ(help.code, 0);
-  for (const char* name :
-       {"demo", "track", "train", "render", "eval", "textures", "splat", "info", "bench"}) {
+  for (const char* name : {"demo", "track", "train", "render", "eval", "textures", "splat", "synth",
+                           "info", "bench"}) {
     EXPECT_TRUE(contains(help.out, name)) << name;
     const Outcome one = run(std::string(name) + " --help");
     EXPECT_EQ(one.code, 0) << name << one.err;
@@ -142,6 +143,73 @@ TEST(Commands, BadAvatarInputsAreNamed) {
   EXPECT_EQ(read_file(scratch / "avatar/textures/albedo.png"), before);
   write_text(scratch / "avatar/textures/normal.png", "not a picture");
   fails("render " + avatar + " -o /tmp/x", "normal.png");
+}
+
+TEST(Commands, SynthMakesACaptureThatInfoFindsSound) {
+  test::ScratchFolder scratch;
+  const std::string capture = (scratch / "capture").string();
+  const Outcome made = run("synth head -o " + capture +
+                           " --frames 4 --size 48 --spp 2 --texture-size 128 --relight window "
+                           "--relight-frames 1 --noise 0.01 --compression 80 --json");
+  ASSERT_EQ(made.code, 0) << made.err;
+  EXPECT_EQ(Json::parse(made.out)["images"], 5);
+  EXPECT_EQ(run("info " + capture).code, 0);
+  const Outcome noise =
+      run("synth head -o x --frames 4 --size 48 --spp 2 --measure-noise 4 --json");
+  ASSERT_EQ(noise.code, 0) << noise.err;
+  EXPECT_GT(Json::parse(noise.out)["psnr"].get<double>(), 15);
+}
+
+TEST(Commands, SynthRefusesBadInputInOneSentence) {
+  test::ScratchFolder scratch;
+  const auto fails = [&](const std::string& arguments, const std::string& part) {
+    const Outcome outcome = run("synth " + arguments);
+    EXPECT_EQ(outcome.code, 2) << arguments << ": " << outcome.err;
+    EXPECT_TRUE(outcome.one_sentence() && contains(outcome.err, part)) << outcome.err;
+  };
+  const std::string head = "head -o " + (scratch / "x").string() + " --frames 4 --size 32 --spp 1 ";
+  write_text(scratch / "broken.hdr", "#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 4 +X 8\nxx");
+  fails(head + "--light " + (scratch / "broken.hdr").string(), "broken.hdr");
+  write_exr(scratch / "black.exr", Image(8, 4, 3, 0.0f));
+  fails(head + "--light " + (scratch / "black.exr").string(), "black everywhere");
+  Image bad(8, 4, 3, 1.0f);
+  bad.data[5] = std::nanf("");
+  write_exr(scratch / "nan.exr", bad, false);
+  fails(head + "--relight " + (scratch / "nan.exr").string(), "not finite");
+  fails(head + "--light moon", "moon");
+  fails(head + "--distance 0.01", "camera is inside");
+  fails(head + "--truth guess", "guess");
+  fails("", "subcommand");
+  EXPECT_FALSE(std::filesystem::exists(scratch / "x"));
+  // Described scenes.
+  const auto scene = [&](const Json& change) {
+    Json json = {
+        {"camera",
+         {{"eye", {0, 0, 3}}, {"target", {0, 0, 0}}, {"fov_y", 40}, {"width", 8}, {"height", 8}}},
+        {"materials", {{"m", Json::object()}}},
+        {"meshes", {{{"file", "plate.obj"}, {"material", "m"}}}},
+        {"point_lights", {{{"position", {0, 0, 3}}, {"intensity", {9, 9, 9}}}}},
+        {"samples", 4}};
+    if (change.is_object()) json.merge_patch(change);
+    write_json(scratch / "scene.json", json);
+    return "scene " + (scratch / "scene.json").string() + " -o " + (scratch / "a.exr").string();
+  };
+  write_text(scratch / "plate.obj", "v -1 -1 0\nv 1 -1 0\nv 0 1 0\nf 1 2 3\n");
+  EXPECT_EQ(run("synth " + scene({})).code, 0);
+  fails(scene({{"point_lights", Json::array()}}), "no light");
+  write_png8(scratch / "skin.png", Image8(4, 4, 3, 99));
+  fails(scene({{"materials", {{"m", {{"albedo", "skin.png"}}}}}}), "UVs");
+  fails(scene({{"meshes", {{{"file", "plate.obj"}, {"material", "silk"}}}}}), "silk");
+  fails(scene({{"camera", {{"fov_y", 0}}}}), "fov_y");
+  write_text(scratch / "plate.obj", "v -1 -1 nan\nv 1 -1 0\nv 0 1 0\nf 1 2 3\n");
+  fails(scene({}), "plate.obj");
+  std::string box;
+  for (int i = 0; i < 8; ++i)
+    box += "v " + std::to_string(i & 1 ? 9 : -9) + " " + std::to_string(i & 2 ? 9 : -9) + " " +
+           std::to_string(i & 4 ? 9 : -9) + "\n";
+  write_text(scratch / "plate.obj",
+             box + "f 1 3 4 2\nf 5 6 8 7\nf 1 2 6 5\nf 3 7 8 4\nf 1 5 7 3\nf 2 4 8 6\n");
+  fails(scene({}), "inside a mesh");
 }
 
 TEST(Commands, WriteFailuresExit1AndKeepWhatWasThere) {

@@ -6,8 +6,13 @@
 
 #include <cmath>
 
-#include "effigy/capture/capture.h"
+#include "effigy/capture/truth.h"
 #include "effigy/image/files.h"
+#include "effigy/image/metrics.h"
+#include "effigy/splat/surfel_raster.h"
+#include "effigy/synth/head_scene.h"
+#include "effigy/synth/tracking_error.h"
+#include "effigy/synth/truth_image.h"
 #include "support.h"
 
 namespace effigy {
@@ -17,7 +22,9 @@ SynthHeadOptions tiny() {
   SynthHeadOptions options;
   options.frames = 4;
   options.size = 64;
+  options.samples = 4;
   options.texture_size = 256;
+  options.relight = {"overcast", "sunset"};
   options.relight_frames = 1;
   return options;
 }
@@ -112,6 +119,138 @@ TEST(SynthHead, RelightingTruthIsListedAndDiffers) {
   }
 }
 
+// Every layer reads back and fits the others: depth and UV lie where the matte is, the posed
+// vertices are those of the true parameters, the image is its radiance encoded.
+TEST(SynthHead, LayersAgreeWithEachOther) {
+  const test::ScratchFolder scratch;
+  synth_head_capture(tiny(), scratch / "capture");
+  const Capture capture = read_capture(scratch / "capture");
+  const auto truth = read_truth(capture);
+  ASSERT_TRUE(truth.has_value());
+  EXPECT_EQ(truth->transport, "path-traced");
+  const RigShape shape = shape_rig(capture.rig, truth->identity);
+  const size_t floats = 3 * static_cast<size_t>(capture.rig.mesh.vertex_count());
+  ASSERT_EQ(truth->irradiance.size(), 4 * floats);
+  ASSERT_EQ(truth->keypoints.size(), size_t{4 * 68 * 3});
+  for (int f = 0; f < 4; ++f) {
+    std::vector<float> vertices;
+    pose_vertices(shape, truth->poses[f], vertices);
+    for (size_t i = 0; i < floats; ++i)
+      ASSERT_NEAR(vertices[i], truth->vertices[f * floats + i], 1e-6);
+    const Image radiance = load_layer(capture, *truth, "radiance", f),
+                depth = load_layer(capture, *truth, "depth", f),
+                normal = load_layer(capture, *truth, "normal", f),
+                uv = load_layer(capture, *truth, "uv", f),
+                part = load_layer(capture, *truth, "part", f),
+                material = load_layer(capture, *truth, "material", f),
+                albedo = load_layer(capture, *truth, "albedo", f);
+    const Image8 image = capture.load_image(f);
+    for (int y = 0; y < 64; ++y)
+      for (int x = 0; x < 64; ++x) {
+        const float alpha = radiance.at(x, y)[3];
+        const bool centre = depth.at(x, y)[0] > 0;
+        EXPECT_EQ(centre, part.at(x, y)[0] > 0);
+        if (alpha == 1) {
+          EXPECT_TRUE(centre);
+          EXPECT_NEAR(depth.at(x, y)[0], 1, 0.25);
+          EXPECT_GT(albedo.at(x, y)[0], 0);
+          EXPECT_GT(material.at(x, y)[0], 0);
+          EXPECT_LE(material.at(x, y)[2], 1);
+          const float encoded = srgb_from_linear(std::min(radiance.at(x, y)[1], 1.0f));
+          EXPECT_NEAR(image.at(x, y)[1], 255 * encoded, 0.7);
+        }
+        if (alpha == 0) {
+          EXPECT_FALSE(centre);
+        }
+        if (centre) {
+          EXPECT_NEAR(Vec3f(normal.at(x, y)).norm(), 1, 2e-3);
+          EXPECT_TRUE(uv.at(x, y)[0] > 0 && uv.at(x, y)[0] < 1);
+        }
+      }
+  }
+  for (const float value : truth->irradiance) ASSERT_TRUE(value >= 0 && value <= 1);
+  // A damaged layer is named.
+  const Path broken = capture.folder / "layers/depth/000001.exr";
+  write_exr(broken, Image(32, 32, 1, 1.0f));
+  EXPECT_TRUE(test::contains(test::error_of([&] { load_layer(capture, *truth, "depth", 1); }),
+                             "000001.exr"));
+  EXPECT_TRUE(
+      test::contains(test::error_of([&] { load_layer(capture, *truth, "sound", 1); }), "sound"));
+}
+
+// Where nothing shadows and the light is smooth, the three truths are close; shadows only darken.
+TEST(SynthHead, TheThreeTruthsDifferAsTheyShould) {
+  SynthHeadOptions options = tiny();
+  options.samples = 64;
+  HeadScene head(options);
+  head.pose(head.performance(0), 0);
+  const Image light = synth_light("overcast");
+  head.scene().set_environment(std::make_shared<EnvironmentSampler>(light));
+  TraceOptions trace;
+  trace.samples = 64;
+  const Image global = trace_image(head.scene(), head.camera(), trace);
+  trace.bounces = 1;
+  const Image direct = trace_image(head.scene(), head.camera(), trace);
+  trace.transport = Transport::kUnshadowed;
+  const Image unshadowed = trace_image(head.scene(), head.camera(), trace);
+  const Image split = split_sum_image(head.scene(), head.camera(), prefilter_environment(light), 4);
+  const auto total = [](const Image& image) {
+    double sum = 0;
+    for (size_t i = 0; i < image.data.size(); ++i) sum += i % 4 == 3 ? 0.0 : image.data[i];
+    return sum;
+  };
+  EXPECT_NEAR(total(split) / total(unshadowed), 1, 0.05);
+  EXPECT_GT(psnr(display_image(split), display_image(unshadowed)), 30);
+  EXPECT_LT(total(direct), 0.95 * total(unshadowed));
+  EXPECT_GT(total(global), 1.01 * total(direct));
+  EXPECT_LT(total(global), total(unshadowed));
+}
+
+// Defects touch the training frames and what a tracker found, never the truth.
+TEST(SynthHead, DefectsLeaveTheTruthAlone) {
+  const test::ScratchFolder scratch;
+  SynthHeadOptions options = tiny();
+  options.relight.clear();
+  synth_head_capture(options, scratch / "clean");
+  options.noise = 0.03;
+  options.compression = 50;
+  options.tracking_error = 2;
+  synth_head_capture(options, scratch / "bad");
+  const Capture clean = read_capture(scratch / "clean"), bad = read_capture(scratch / "bad");
+  const auto clean_truth = read_truth(clean), bad_truth = read_truth(bad);
+  EXPECT_EQ(clean_truth->vertices, bad_truth->vertices);
+  EXPECT_EQ(clean.poses[1].translation, clean_truth->poses[1].translation);
+  EXPECT_NE(bad.poses[1].translation, bad_truth->poses[1].translation);
+  for (int f = 0; f < 4; ++f) {
+    const double difference = psnr(to_float(clean.load_image(f)), to_float(bad.load_image(f)));
+    if (clean.frames[f].test) {
+      EXPECT_EQ(difference, 100);
+    } else {
+      EXPECT_GT(difference, 25);
+      EXPECT_LT(difference, 40);
+    }
+  }
+}
+
+TEST(SynthHead, TrackingErrorHasTheStatedSize) {
+  const Rig rig = builtin_head_rig();
+  const std::vector<RigPose> still(300, RigPose::rest(rig));
+  double square = 0, expression = 0;
+  for (uint64_t seed = 1; seed <= 20; ++seed) {
+    const auto tracked = with_tracking_error(rig, still, 30, 1, seed);
+    for (const RigPose& pose : tracked) {
+      square += std::pow(pose.translation[0], 2);
+      for (size_t e = 0; e < pose.expression.size(); ++e) {
+        EXPECT_GE(pose.expression[e], rig.expression_low[e]);
+        expression = std::max<double>(expression, pose.expression[e]);
+      }
+    }
+  }
+  EXPECT_NEAR(std::sqrt(square / (20 * 300)), 1e-3, 4e-4);
+  EXPECT_GT(expression, 0.03);
+  EXPECT_LT(expression, 0.2);
+}
+
 TEST(SynthHead, SameSeedSamePicturesOtherSeedOtherPoses) {
   const test::ScratchFolder scratch;
   SynthHeadOptions options = tiny();
@@ -166,7 +305,22 @@ TEST(SynthHead, RefusesNonsense) {
   options = tiny();
   options.light = "no-such-light";
   EXPECT_THROW(synth_head_capture(options, scratch / "x"), Error);
+  options = tiny();
+  options.relight = {"sunset", "sunset"};
+  EXPECT_THROW(synth_head_capture(options, scratch / "x"), Error);
+  options = tiny();
+  options.noise = -1;
+  EXPECT_THROW(synth_head_capture(options, scratch / "x"), Error);
+  options = tiny();
+  options.distance = 0.01;
+  EXPECT_TRUE(test::contains(test::error_of([&] { synth_head_capture(options, scratch / "x"); }),
+                             "camera is inside"));
   EXPECT_FALSE(std::filesystem::exists(scratch / "x"));
+  // A pose that is not finite names its frame.
+  HeadScene head(tiny());
+  RigPose pose = head.performance(0);
+  pose.joint_rotation[4] = std::nanf("");
+  EXPECT_TRUE(test::contains(test::error_of([&] { head.pose(pose, 7); }), "Frame 7"));
 }
 
 }  // namespace

@@ -84,6 +84,9 @@ class BenchCapture {
     options.frames = 8;
     options.size = 512;
     options.relight.clear();
+    options.truth = HeadTruth::kSplitSum;  // the pictures do not matter, only their size
+    options.samples = 4;
+    options.layers = false;
     synth_head_capture(options, folder_);
     capture_ = read_capture(folder_);
   }

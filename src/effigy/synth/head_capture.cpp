@@ -1,253 +1,302 @@
 #include "effigy/synth/head_capture.h"
 
 #include <algorithm>
+#include <chrono>
 #include <cmath>
+#include <set>
 
 #include "effigy/base/log.h"
 #include "effigy/base/progress.h"
-#include "effigy/base/threads.h"
-#include "effigy/capture/capture.h"
+#include "effigy/capture/truth.h"
+#include "effigy/image/colour.h"
 #include "effigy/image/files.h"
-#include "effigy/image/resample.h"
-#include "effigy/light/builtin_lights.h"
-#include "effigy/people/builtin_head.h"
-#include "effigy/rays/ray_scene.h"
-#include "effigy/shade/deferred.h"
-#include "effigy/splat/surfel_raster.h"
+#include "effigy/image/metrics.h"
+#include "effigy/synth/head_scene.h"
+#include "effigy/synth/tracking_error.h"
+#include "effigy/synth/truth_image.h"
 
 namespace effigy {
 namespace {
 
-constexpr double kFramesPerSecond = 24;
-constexpr double kFieldOfView = 0.35;  // radians, vertical
-constexpr double kDistance = 1.0;      // metres from camera to the head's root
+constexpr int kLayerSamples = 16, kIrradianceSamples = 16, kMostAcross = 4;
 
-// Per triangle: direction of increasing u on the surface and the handedness of its UVs.
-struct Tangent {
-  Vec3f direction;
-  float handedness;
+struct Light {
+  Image image;
+  std::shared_ptr<const EnvironmentSampler> sampler;
+  PrefilteredEnvironment prefiltered;  // split-sum only
 };
 
-// One posed head that rays can meet.
-class PosedHead {
- public:
-  PosedHead(const Mesh& mesh, const HeadMaterials& materials, std::vector<float> vertices)
-      : mesh_(mesh),
-        materials_(materials),
-        vertices_(std::move(vertices)),
-        normals_(vertex_normals(vertices_, mesh.triangles)),
-        scene_(vertices_, mesh.triangles) {
-    tangents_.reserve(mesh.triangles.size());
-    for (size_t t = 0; t < mesh.triangles.size(); ++t) tangents_.push_back(tangent_of(t));
-  }
+void check_options(const SynthHeadOptions& o) {
+  if (o.frames < 4 || o.size < 32 || o.samples < 1 || o.bounces < 1)
+    throw Error(
+        "A synthetic capture needs at least 4 frames of 32 pixels, 1 sample a pixel and 1 "
+        "bounce.");
+  if (!(o.distance > 0) || !(o.frames_per_second > 0) || !std::isfinite(o.distance) ||
+      !std::isfinite(o.frames_per_second))
+    throw Error("A synthetic capture needs a positive distance and frame rate.");
+  if (!(o.noise >= 0 && o.noise <= 1) || o.compression < 0 || o.compression > 100 ||
+      !(o.tracking_error >= 0 && o.tracking_error <= 100))
+    throw Error(
+        "Noise lies in 0 .. 1, JPEG quality in 1 .. 100 (0: none), tracking error in 0 .. "
+        "100.");
+}
 
-  // G-buffer with alpha 0 or 1 at each pixel centre.
-  Planes trace(const Camera& camera) const {
-    Planes gbuffer(camera.width, camera.height, kGBufferPlanes);
-    parallel_for(static_cast<size_t>(camera.height), 8, [&](size_t begin, size_t end, int) {
-      for (size_t y = begin; y < end; ++y)
-        for (int x = 0; x < camera.width; ++x) trace_pixel(camera, x, static_cast<int>(y), gbuffer);
-    });
-    return gbuffer;
+// Renders the built-in head under named lights.
+class HeadStudio {
+ public:
+  explicit HeadStudio(const SynthHeadOptions& options) : options_(options), head_(options) {
+    if (options.truth == HeadTruth::kUnshadowed) trace_.transport = Transport::kUnshadowed;
+    trace_.samples = options.samples;
+    trace_.bounces = options.bounces;
+    trace_.seed = options.seed;
   }
+  HeadScene& head() { return head_; }
+  void add_light(const std::string& name_or_file) {
+    Light light;
+    light.image = synth_light(name_or_file);
+    light.sampler = std::make_shared<EnvironmentSampler>(light.image);
+    if (options_.truth == HeadTruth::kSplitSum)
+      light.prefiltered = prefilter_environment(light.image);
+    if (!lights_.emplace(synth_light_name(name_or_file), std::move(light)).second)
+      throw Error("The light '" + synth_light_name(name_or_file) +
+                  "' is named twice; give every light another name.");
+  }
+  const std::map<std::string, Light>& lights() const { return lights_; }
+  TraceOptions& trace() { return trace_; }
+
+  // Linear premultiplied radiance of the posed head.
+  Image draw(const std::string& name) {
+    const Light& light = lights_.at(name);
+    head_.scene().set_environment(light.sampler);
+    if (options_.truth != HeadTruth::kSplitSum) {
+      samples_ += int64_t{options_.size} * options_.size * trace_.samples;
+      return trace_image(head_.scene(), head_.camera(), trace_);
+    }
+    const int across =
+        std::clamp(static_cast<int>(std::lround(std::sqrt(static_cast<double>(trace_.samples)))), 1,
+                   kMostAcross);
+    samples_ += int64_t{options_.size} * options_.size * across * across;
+    return split_sum_image(head_.scene(), head_.camera(), light.prefiltered, across);
+  }
+  int64_t samples() const { return samples_; }
 
  private:
-  Vec3f position(int v) const { return Vec3f(&vertices_[3 * static_cast<size_t>(v)]); }
-  Vec3f normal(int v) const { return Vec3f(&normals_[3 * static_cast<size_t>(v)]); }
-
-  Tangent tangent_of(size_t t) const {
-    const Vec3i& corner = mesh_.triangles[t];
-    const Vec3i& uv = mesh_.uv_triangles[t];
-    const Vec3f e1 = position(corner[1]) - position(corner[0]);
-    const Vec3f e2 = position(corner[2]) - position(corner[0]);
-    const Vec2f d1 = mesh_.uvs[uv[1]] - mesh_.uvs[uv[0]];
-    const Vec2f d2 = mesh_.uvs[uv[2]] - mesh_.uvs[uv[0]];
-    const float area = d1.x() * d2.y() - d1.y() * d2.x();
-    const float sign = area < 0 ? -1.0f : 1.0f;
-    const Vec3f along = sign * (e1 * d2.y() - e2 * d1.y());
-    return {along.squaredNorm() > 0 ? Vec3f(along.normalized()) : Vec3f::UnitX(), sign};
-  }
-
-  void trace_pixel(const Camera& camera, int x, int y, Planes& gbuffer) const {
-    const Vec3d ray_camera((x + 0.5 - camera.cx) / camera.fx, (y + 0.5 - camera.cy) / camera.fy, 1);
-    const Vec3f ray = (camera.camera_from_world_rotation.transpose() * ray_camera).cast<float>();
-    const RayHit hit = scene_.closest(camera.center().cast<float>(), ray, 0.01f);
-    if (hit.triangle < 0) return;
-    const float a = 1 - hit.b - hit.c;
-    const Vec3i& corner = mesh_.triangles[hit.triangle];
-    const Vec3i& uv_corner = mesh_.uv_triangles[hit.triangle];
-    const Vec2f uv = a * mesh_.uvs[uv_corner[0]] + hit.b * mesh_.uvs[uv_corner[1]] +
-                     hit.c * mesh_.uvs[uv_corner[2]];
-    Vec3f n = (a * normal(corner[0]) + hit.b * normal(corner[1]) + hit.c * normal(corner[2]))
-                  .normalized();
-    const Tangent& frame = tangents_[hit.triangle];
-    const Vec3f tangent = (frame.direction - n * n.dot(frame.direction)).normalized();
-    const Vec3f bitangent = frame.handedness * n.cross(tangent);
-    const double u = uv.x() * materials_.albedo.width;
-    const double v = (1 - uv.y()) * materials_.albedo.height;
-    float albedo[3], roughness, specular, bump[3];
-    sample_bilinear(materials_.albedo, u, v, albedo);
-    sample_bilinear(materials_.roughness, u, v, &roughness);
-    sample_bilinear(materials_.specular, u, v, &specular);
-    sample_bilinear(materials_.normal, u, v, bump);
-    Vec3f mapped = (bump[0] * tangent + bump[1] * bitangent + bump[2] * n).normalized();
-    if (n.dot(ray) > 0) {
-      n = -n;
-      mapped = -mapped;
-    }
-    const size_t i = static_cast<size_t>(y) * camera.width + x;
-    const auto put = [&](int plane, float value) { gbuffer.plane(plane)[i] = value; };
-    put(kAlpha, 1);
-    put(kDepth, hit.distance);  // the ray's z is 1, so this is camera-space depth
-    for (int c = 0; c < 3; ++c) {
-      put(kAlbedo + c, albedo[c]);
-      put(kNormal + c, n[c]);
-      put(kMappedNormal + c, mapped[c]);
-    }
-    put(kRoughness, roughness);
-    put(kSpecular, specular);
-    put(kUv, uv.x());
-    put(kUv + 1, uv.y());
-  }
-
-  const Mesh& mesh_;
-  const HeadMaterials& materials_;
-  std::vector<float> vertices_, normals_;
-  std::vector<Tangent> tangents_;
-  RayScene scene_;
+  SynthHeadOptions options_;
+  HeadScene head_;
+  TraceOptions trace_;
+  std::map<std::string, Light> lights_;
+  int64_t samples_ = 0;
 };
 
 class HeadCaptureWriter {
  public:
   HeadCaptureWriter(const SynthHeadOptions& options, const Path& folder)
-      : options_(options),
-        folder_(folder, "capture.json"),
-        rig_(builtin_head_rig()),
-        materials_(builtin_head_materials(options.texture_size)),
-        shape_(shape_rig(rig_, {})) {
-    camera_.width = camera_.height = options.size;
-    camera_.fx = camera_.fy = 0.5 * options.size / std::tan(0.5 * kFieldOfView);
-    camera_.cx = camera_.cy = 0.5 * options.size;
-    camera_.camera_from_world_rotation = Vec3d(1, -1, -1).asDiagonal();
-    large_ =
-        camera_.resized(options.size * options.supersample, options.size * options.supersample);
-    center_head();
-  }
+      : options_(options), studio_(options), folder_(folder, "capture.json") {}
 
-  void run() {
-    lights_[options_.light] = prefilter_environment(builtin_light(options_.light));
-    for (const std::string& name : options_.relight)
-      lights_[name] = prefilter_environment(builtin_light(name));
-    for (const auto& [name, light] : lights_)
-      write_exr(folder_.dir() / "lights" / (name + ".exr"), builtin_light(name), false);
+  SynthHeadResult run() {
+    const auto begin = std::chrono::steady_clock::now();
+    light_ = synth_light_name(options_.light);
+    studio_.add_light(options_.light);
+    for (const std::string& light : options_.relight) studio_.add_light(light);
+    for (const auto& [name, light] : studio_.lights())
+      write_exr(folder_.dir() / "lights" / (name + ".exr"), light.image, false);
     start_capture();
-    Progress progress("rendering the built-in head", "frames", options_.frames);
+    const auto relit = relit_frames();
+    const auto images =
+        static_cast<int64_t>(capture_.frames.size() + relit.size() * options_.relight.size());
+    Progress progress("rendering the built-in head", "images", images);
+    SynthHeadResult result;
     for (int f = 0; f < options_.frames; ++f) {
+      studio_.head().pose(truth_.poses[f], f);
       render_frame(f);
-      progress.update(f + 1);
+      progress.update(++result.images);
+      if (!relit.count(f)) continue;
+      for (const std::string& light : options_.relight) {
+        render_relit(f, synth_light_name(light));
+        progress.update(++result.images);
+      }
     }
     progress.finish();
+    finish_capture();
+    result.frames = options_.frames;
+    result.seconds =
+        std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+    result.samples_per_second = static_cast<double>(studio_.samples()) / result.seconds;
+    return result;
+  }
+
+ private:
+  void start_capture() {
+    HeadScene& head = studio_.head();
+    capture_.source = "the built-in head";
+    capture_.licence = "Apache-2.0";
+    capture_.consent = "not a real person";
+    capture_.frames_per_second = options_.frames_per_second;
+    capture_.camera = head.camera();
+    capture_.rig = head.rig();
+    capture_.identity.assign(head.rig().identity_count, 0.0f);
+    for (int f = 0; f < options_.frames; ++f) {
+      CaptureFrame frame;
+      frame.number = f;
+      frame.seconds = f / options_.frames_per_second;
+      frame.image = "images/cam0/" + file(f, ".png");
+      frame.mask = "masks/cam0/" + file(f, ".png");
+      frame.albedo = "albedo/cam0/" + file(f, ".png");
+      capture_.frames.push_back(frame);
+      truth_.poses.push_back(head.performance(frame.seconds));
+    }
+    split_test_frames(capture_);
+    capture_.poses = with_tracking_error(head.rig(), truth_.poses, options_.frames_per_second,
+                                         options_.tracking_error, options_.seed);
+    truth_.identity = capture_.identity;
+    truth_.transport = to_string(options_.truth);
+    truth_.parts = head.rig().mesh.parts;
+  }
+
+  static std::string file(int frame, const char* extension) {
+    return format("{:06}{}", frame, extension);
+  }
+
+  // The held-out frames that get relighting truth, spread evenly.
+  std::set<int> relit_frames() const {
+    const auto test = capture_.test_frames();
+    const int all = static_cast<int>(test.size());
+    const int count = options_.relight_frames < 0 ? all : std::min(options_.relight_frames, all);
+    std::set<int> frames;
+    for (int k = 0; k < count; ++k) frames.insert(test[static_cast<size_t>(all) * k / count]);
+    return frames;
+  }
+
+  void render_frame(int f) {
+    const Image radiance = studio_.draw(light_);
+    const CaptureFrame& frame = capture_.frames[f];
+    Image shown = display_image(radiance);
+    const bool defects = !frame.test;
+    if (defects && options_.noise > 0)
+      add_noise(shown, radiance, options_.noise, options_.seed, static_cast<uint64_t>(f));
+    Image8 image = to_8bit(shown);
+    if (defects && options_.compression > 0) image = compress(image, options_.compression);
+    write_png8(folder_.dir() / frame.image, image, {}, true);
+    write_png8(folder_.dir() / frame.mask, to_8bit(alpha_image(radiance)), {}, true);
+    write_layers(f, radiance);
+  }
+
+  void write_layers(int f, const Image& radiance) {
+    HeadScene& head = studio_.head();
+    const SurfaceLayers layers =
+        trace_layers(head.scene(), head.camera(), kLayerSamples, options_.seed);
+    Image albedo = layers.albedo;
+    for (float& value : albedo.data) value = srgb_from_linear(value);
+    write_png8(folder_.dir() / capture_.frames[f].albedo, to_8bit(albedo), {}, true);
+    const std::vector<float>& vertices = head.scene().vertices(0);
+    truth_.vertices.insert(truth_.vertices.end(), vertices.begin(), vertices.end());
+    for (const float x :
+         landmark_positions(head.rig().multipie, head.rig().mesh.triangles, vertices))
+      truth_.keypoints.push_back(x);
+    if (!options_.layers) return;
+    const std::vector<float> irradiance =
+        vertex_irradiance(head.scene(), 0, kIrradianceSamples, options_.seed);
+    truth_.irradiance.insert(truth_.irradiance.end(), irradiance.begin(), irradiance.end());
+    write_layer(f, "radiance", radiance, true);
+    write_layer(f, "albedo", layers.albedo, true);
+    write_layer(f, "material", layers.material, true);
+    write_layer(f, "normal", planes_of(layers.gbuffer, kMappedNormal, 3), true);
+    write_layer(f, "depth", planes_of(layers.gbuffer, kDepth, 1), false);
+    write_layer(f, "uv", planes_of(layers.gbuffer, kUv, 2), false);
+    Image8 part(radiance.width, radiance.height, 1);
+    for (size_t i = 0; i < part.data.size(); ++i)
+      part.data[i] = static_cast<uint8_t>(layers.part[i]);  // one mesh: part + 1
+    write_png8(folder_.dir() / "layers/part" / file(f, ".png"), part, {}, true);
+    truth_.layers["part"] = "layers/part";
+  }
+
+  static Image planes_of(const Planes& planes, int first, int count) {
+    Image image(planes.width, planes.height, count);
+    for (size_t i = 0; i < planes.pixels(); ++i)
+      for (int c = 0; c < count; ++c)
+        image.data[i * static_cast<size_t>(count) + c] = planes.plane(first + c)[i];
+    return image;
+  }
+
+  void write_layer(int f, const std::string& name, const Image& image, bool half) {
+    write_exr(folder_.dir() / "layers" / name / file(f, ".exr"), image, half);
+    truth_.layers[name] = "layers/" + name;
+  }
+
+  void render_relit(int f, const std::string& light) {
+    const Image radiance = studio_.draw(light);
+    const std::string path = "relight/" + light + "/" + file(f, ".png");
+    write_png8(folder_.dir() / path, to_8bit(display_image(radiance)), {}, true);
+    if (options_.layers)
+      write_exr(folder_.dir() / ("relight/" + light + "/" + file(f, ".exr")), radiance);
+    relit_[light][std::to_string(capture_.frames[f].number)] = path;
+  }
+
+  void finish_capture() {
+    capture_.extra = Json::object();
     for (const auto& [name, images] : relit_)
       capture_.extra["relight"][name] = {{"light", "lights/" + name + ".exr"}, {"images", images}};
-    capture_.extra["light"] = "lights/" + options_.light + ".exr";
+    capture_.extra["light"] = "lights/" + light_ + ".exr";
+    capture_.extra["made"] = {{"samples", options_.samples},
+                              {"bounces", options_.bounces},
+                              {"seed", options_.seed},
+                              {"noise", options_.noise},
+                              {"compression", options_.compression},
+                              {"tracking_error", options_.tracking_error}};
+    write_truth(truth_, capture_, folder_.dir());
     write_capture(capture_, folder_.dir());
     folder_.commit();
   }
 
- private:
-  // The middle of the head's bounding box comes to rest on the camera's axis.
-  void center_head() {
-    Vec3f low = Vec3f::Constant(1e9f), high = -low;
-    for (size_t v = 0; v + 2 < shape_.rest.size(); v += 3) {
-      low = low.cwiseMin(Vec3f(&shape_.rest[v]));
-      high = high.cwiseMax(Vec3f(&shape_.rest[v]));
-    }
-    offset_ = -0.5f * (low + high);
-    offset_.z() = -static_cast<float>(kDistance);
-  }
-
-  void start_capture() {
-    capture_.source = "the built-in head";
-    capture_.licence = "Apache-2.0";
-    capture_.consent = "not a real person";
-    capture_.frames_per_second = kFramesPerSecond;
-    capture_.camera = camera_;
-    capture_.rig = rig_;
-    capture_.identity.assign(rig_.identity_count, 0.0f);
-    capture_.extra = Json::object();
-    for (int f = 0; f < options_.frames; ++f) {
-      CaptureFrame frame;
-      frame.number = f;
-      frame.seconds = f / kFramesPerSecond;
-      const std::string name = format("{:06}.png", f);
-      frame.image = "images/cam0/" + name;
-      frame.mask = "masks/cam0/" + name;
-      frame.albedo = "albedo/cam0/" + name;
-      RigPose pose = performance_pose(rig_, frame.seconds, options_.seed);
-      for (int c = 0; c < 3; ++c) pose.translation[c] += offset_[c];
-      capture_.frames.push_back(frame);
-      capture_.poses.push_back(std::move(pose));
-    }
-    split_test_frames(capture_);
-  }
-
-  void render_frame(int f) {
-    std::vector<float> vertices;
-    pose_vertices(shape_, capture_.poses[f], vertices);
-    const PosedHead head(rig_.mesh, materials_, std::move(vertices));
-    const Planes gbuffer = head.trace(large_);
-    const CaptureFrame& frame = capture_.frames[f];
-    const std::string name = format("{:06}.png", f);
-    write_png8(folder_.dir() / frame.image, shade(gbuffer, options_.light));
-    Image alpha(large_.width, large_.height, 1);
-    std::copy_n(gbuffer.plane(kAlpha), gbuffer.pixels(), alpha.data.begin());
-    write_png8(folder_.dir() / frame.mask, to_8bit(resize(alpha, options_.size, options_.size)));
-    Image albedo(large_.width, large_.height, 3);
-    for (size_t i = 0; i < gbuffer.pixels(); ++i)
-      for (int c = 0; c < 3; ++c)
-        albedo.data[3 * i + c] = srgb_from_linear(gbuffer.plane(kAlbedo + c)[i]);
-    write_png8(folder_.dir() / frame.albedo, to_8bit(resize(albedo, options_.size, options_.size)));
-    if (!is_relit(f)) return;
-    for (const std::string& light : options_.relight) {
-      const std::string path = "relight/" + light + "/" + name;
-      write_png8(folder_.dir() / path, shade(gbuffer, light));
-      relit_[light][std::to_string(frame.number)] = path;
-    }
-  }
-
-  Image8 shade(const Planes& gbuffer, const std::string& light) const {
-    Planes colour;
-    shade_deferred(gbuffer, large_, lights_.at(light), {}, colour);
-    return to_8bit(resize(to_image(colour), options_.size, options_.size));
-  }
-
-  // Whether frame f is one of the held-out frames that get relighting truth.
-  bool is_relit(int f) const {
-    const auto test = capture_.test_frames();
-    const int count = std::min<int>(options_.relight_frames, static_cast<int>(test.size()));
-    for (int k = 0; k < count; ++k)
-      if (test[test.size() * k / count] == f) return true;
-    return false;
-  }
-
   SynthHeadOptions options_;
+  HeadStudio studio_;
   FolderWriter folder_;
-  Rig rig_;
-  HeadMaterials materials_;
-  RigShape shape_;
-  Camera camera_, large_;
-  Vec3f offset_ = Vec3f::Zero();
-  std::map<std::string, PrefilteredEnvironment> lights_;
+  std::string light_;
   std::map<std::string, Json> relit_;
   Capture capture_;
+  CaptureTruth truth_;
 };
 
 }  // namespace
 
-void synth_head_capture(const SynthHeadOptions& options, const Path& folder) {
-  if (options.frames < 4 || options.size < 32 || options.supersample < 1)
-    throw Error("A synthetic capture needs at least 4 frames of 32 pixels and 1 ray a pixel.");
-  HeadCaptureWriter(options, folder).run();
+HeadTruth head_truth_from_name(const std::string& name) {
+  for (const HeadTruth truth :
+       {HeadTruth::kSplitSum, HeadTruth::kUnshadowed, HeadTruth::kPathTraced})
+    if (name == to_string(truth)) return truth;
+  throw Error("There is no truth '" + name + "'; choose split-sum, unshadowed or path-traced.");
+}
+
+std::string to_string(HeadTruth truth) {
+  switch (truth) {
+    case HeadTruth::kSplitSum:
+      return "split-sum";
+    case HeadTruth::kUnshadowed:
+      return "unshadowed";
+    case HeadTruth::kPathTraced:
+      break;
+  }
+  return "path-traced";
+}
+
+SynthHeadResult synth_head_capture(const SynthHeadOptions& options, const Path& folder) {
+  check_options(options);
+  return HeadCaptureWriter(options, folder).run();
+}
+
+double synth_head_noise(const SynthHeadOptions& options, int factor) {
+  check_options(options);
+  EFFIGY_CHECK(factor > 1);
+  HeadStudio studio(options);
+  studio.add_light(options.light);
+  const int frame = 3 * options.frames / 8;
+  studio.head().pose(studio.head().performance(frame / options.frames_per_second), frame);
+  const auto shown = [&] {
+    return to_float(to_8bit(display_image(studio.draw(synth_light_name(options.light)))));
+  };
+  const Image image = shown();
+  studio.trace().samples *= factor;
+  studio.trace().seed += 1;
+  return psnr(shown(), image);
 }
 
 }  // namespace effigy

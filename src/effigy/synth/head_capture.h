@@ -1,30 +1,56 @@
-// Captures of the built-in head with known answers: true rig parameters, albedo, and the held-out
-// frames under other lights.
+// Captures of the built-in head with known answers (docs/synth.md): a talking head seen by one
+// camera, every layer of every frame, and the held-out frames under other lights.
 #pragma once
 
 #include <string>
 #include <vector>
 
 #include "effigy/base/file.h"
-#include "effigy/geometry/types.h"
 #include "effigy/rig/rig.h"
 
 namespace effigy {
 
+// What the images show: three levels that separate the causes of a relighting error.
+enum class HeadTruth {
+  kSplitSum,    // the program's own deferred shading on the true surface
+  kUnshadowed,  // the material model integrated over all of the light, nothing in its way
+  kPathTraced,  // shadows and interreflection too
+};
+HeadTruth head_truth_from_name(const std::string& name);  // throws Error
+std::string to_string(HeadTruth truth);
+
 struct SynthHeadOptions {
   int frames = 96;
-  int size = 384;       // pixels a side
-  int supersample = 2;  // rays per pixel a side
+  int size = 384;  // pixels a side
+  double frames_per_second = 30;
+  HeadTruth truth = HeadTruth::kPathTraced;
+  int samples = 64;  // a pixel; split-sum uses 16 at most
+  int bounces = 8;
   int texture_size = 1024;
-  uint64_t seed = 1;                                          // of the performance
-  std::string light = "studio";                               // the capture's light
-  std::vector<std::string> relight = {"overcast", "sunset"};  // truth of the held-out frames
-  int relight_frames = 4;                                     // of the held-out frames, per light
+  double distance = 1.0;         // metres from camera to the head's middle
+  uint64_t seed = 1;             // of the performance and the noise
+  std::string light = "studio";  // a built-in light or an environment file: the capture's light
+  std::vector<std::string> relight = {"overcast", "sunset", "window"};  // of the held-out frames
+  int relight_frames = 4;                                               // per light; -1: all
+  bool layers = true;  // write the truth of every layer
+  // Defects of the training frames; the held-out frames and all truth stay clean.
+  double noise = 0;           // standard deviation of the encoded values
+  int compression = 0;        // JPEG quality 1..100; 0: none
+  double tracking_error = 0;  // 1: about 1 mm, half a degree, 0.03 of an expression
+};
+
+struct SynthHeadResult {
+  int frames = 0, images = 0;  // images: with those under other lights
+  double seconds = 0, samples_per_second = 0;
 };
 
 // Writes a whole capture folder (docs/formats.md). An existing capture there is replaced; any other
 // folder that is not empty is refused.
-void synth_head_capture(const SynthHeadOptions& options, const Path& folder);
+SynthHeadResult synth_head_capture(const SynthHeadOptions& options, const Path& folder);
+
+// PSNR of the middle training frame, as the capture holds it but without defects, against the same
+// frame with `factor` times the samples and other random numbers.
+double synth_head_noise(const SynthHeadOptions& options, int factor);
 
 // The performance: talking, blinks, brows, gaze and head turns, smooth in time; expressions that
 // the rig does not have are left out.

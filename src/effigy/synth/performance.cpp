@@ -1,7 +1,9 @@
 // What the built-in head does in front of the camera.
 
+#include <algorithm>
 #include <cmath>
 #include <numbers>
+#include <vector>
 
 #include "effigy/base/random.h"
 #include "effigy/synth/head_capture.h"
@@ -48,6 +50,46 @@ class Performer {
   RigPose& pose_;
 };
 
+// Mouth shapes of speech, by the sounds they stand for (mouth shapes as animators group them).
+struct Shape {
+  const char* name;  // of an expression, or of a pair of them
+  double value;
+};
+using Viseme = std::vector<Shape>;
+const std::vector<Viseme>& visemes() {
+  static const std::vector<Viseme> all = {
+      {{"jawOpen", 0.55}, {"mouthLowerDown", 0.25}, {"mouthUpperUp", 0.1}},     // ah
+      {{"jawOpen", 0.22}, {"mouthStretch", 0.35}, {"mouthSmile", 0.2}},         // ee
+      {{"jawOpen", 0.3}, {"mouthFunnel", 0.55}, {"mouthPucker", 0.25}},         // oh
+      {{"jawOpen", 0.12}, {"mouthPucker", 0.8}},                                // oo
+      {{"mouthPress", 0.5}, {"mouthRollLower", 0.3}, {"mouthRollUpper", 0.3}},  // m b p
+      {{"jawOpen", 0.1}, {"mouthRollLower", 0.45}, {"mouthUpperUp", 0.3}},      // f v
+      {{"jawOpen", 0.28}, {"mouthLowerDown", 0.2}},                             // l th
+      {{"jawOpen", 0.14}, {"mouthFunnel", 0.45}, {"mouthShrugUpper", 0.2}},     // ch sh
+      {{"jawOpen", 0.16}, {"mouthStretch", 0.2}, {"mouthDimple", 0.15}},        // s z
+      {{"jawOpen", 0.35}, {"mouthLowerDown", 0.15}, {"mouthStretch", 0.15}},    // eh
+  };
+  return all;
+}
+
+// Speech: a viseme about every 0.13 seconds, each melting into the next.
+void speak(Performer& p, double t, double loudness, uint64_t seed) {
+  constexpr double kStep = 0.13;
+  const auto now = static_cast<int64_t>(std::floor(t / kStep));
+  for (int64_t k = now - 1; k <= now + 2; ++k) {
+    if (k < 0) continue;
+    Random random(seed ^ 0x766973656d65ULL, static_cast<uint64_t>(k));
+    const Viseme& viseme = visemes()[random.below(visemes().size())];
+    const double center = kStep * (static_cast<double>(k) + random.uniform(-0.2, 0.2));
+    const double weight =
+        loudness * random.uniform(0.7, 1.0) * pulse(t, center, 1.25 * kStep) / 1.25;
+    for (const Shape& shape : viseme) {
+      p.express(shape.name, weight * shape.value);
+      p.both(shape.name, weight * shape.value);
+    }
+  }
+}
+
 }  // namespace
 
 RigPose performance_pose(const Rig& rig, double t, uint64_t seed) {
@@ -59,20 +101,17 @@ RigPose performance_pose(const Rig& rig, double t, uint64_t seed) {
                roll = 0.09 * wander(t, 3.7, random);
   p.rotate("root", 0.75 * pitch, 0.8 * yaw, roll);
   p.rotate("neck", 0.25 * pitch, 0.2 * yaw, 0);
-  // Speech: syllables at about 4 a second, shaped by slower waves.
-  const double speaking = 0.5 + 0.5 * wander(t, 1.7, random);
-  const double syllable = std::max(0.0, std::sin(kTau * 3.1 * t + random.uniform(0, kTau)));
-  const double open = std::max(0.0, speaking) * (0.15 + 0.5 * syllable);
-  p.express("jawOpen", open);
-  p.rotate("jaw", rig.expression("jawOpen") < 0 ? 0.3 * open : 0.0, 0, 0);
-  const double smile = std::max(0.0, wander(t, 2.9, random));
-  p.both("mouthSmile", 0.7 * smile);
-  p.express("mouthPucker", 0.6 * std::max(0.0, wander(t, 1.3, random)) * (1 - smile));
-  p.express("mouthFunnel", 0.3 * std::max(0.0, wander(t, 1.1, random)) * (1 - smile));
+  // Speech in phrases: louder and softer, with pauses; a smile that comes and goes.
+  const double speaking = std::clamp(0.75 + 0.9 * wander(t, 2.6, random), 0.0, 1.0);
+  speak(p, t, speaking, seed);
+  p.rotate("jaw", rig.expression("jawOpen") < 0 ? 0.15 * speaking : 0.0, 0, 0);
+  p.both("mouthSmile", 0.6 * std::max(0.0, wander(t, 2.9, random)));
   p.both("browInnerUp", 0.5 * std::max(0.0, wander(t, 2.2, random)));
   p.express("browInnerUp", 0.5 * std::max(0.0, wander(t, 2.2, random)));
   p.both("browDown", 0.5 * std::max(0.0, wander(t, 2.7, random)));
-  p.both("cheekPuff", 0.3 * std::max(0.0, wander(t, 3.9, random)));
+  p.both("browOuterUp", 0.35 * std::max(0.0, wander(t, 3.4, random)));
+  p.both("cheekSquint", 0.3 * std::max(0.0, wander(t, 3.9, random)));
+  p.both("noseSneer", 0.25 * std::max(0.0, wander(t, 4.3, random)));
   // Gaze, and a blink about every 1.4 seconds.
   const double look_x = 0.2 * wander(t, 1.9, random), look_y = 0.1 * wander(t, 2.6, random);
   for (const char* eye : {"eye_left", "eye_right"}) p.rotate(eye, look_y, look_x, 0);

@@ -1,0 +1,149 @@
+// effigy synth: path-traced captures with the truth of every layer.
+
+#include <algorithm>
+#include <cstdio>
+
+#include "effigy/base/log.h"
+#include "effigy/base/progress.h"
+#include "effigy/cli/command_line.h"
+#include "effigy/cli/commands.h"
+#include "effigy/image/files.h"
+#include "effigy/synth/head_capture.h"
+#include "effigy/synth/scene_file.h"
+#include "effigy/synth/truth_image.h"
+
+namespace effigy {
+namespace {
+
+struct HeadCommand {
+  SynthHeadOptions options;
+  std::string output, truth = "path-traced";
+  bool no_relight = false, no_layers = false;
+  int measure_noise = 0;
+};
+
+void add_head(CLI::App& app, HeadCommand& c) {
+  SynthHeadOptions& o = c.options;
+  o.frames = 120;
+  o.size = 512;
+  o.relight_frames = -1;
+  app.add_option("-o,--output", c.output, "Capture folder")->required();
+  app.add_option("--frames", o.frames, "Frames (default 120)");
+  app.add_option("--size", o.size, "Pixels a side (default 512)");
+  app.add_option("--fps", o.frames_per_second, "Frames a second (default 30)");
+  app.add_option("--light", o.light,
+                 "studio (default), overcast, sunset, window, or an EXR or HDR file");
+  app.add_option("--relight", o.relight,
+                 "Lights for the truth of the held-out frames (default overcast sunset window)");
+  app.add_option("--relight-frames", o.relight_frames,
+                 "How many held-out frames get that truth (default all)");
+  app.add_flag("--no-relight", c.no_relight, "No frames under other lights");
+  app.add_option("--spp", o.samples, "Samples a pixel (default 64; powers of two are best)");
+  app.add_option("--bounces", o.bounces, "Reflections of a light path (default 8)");
+  app.add_option("--truth", c.truth,
+                 "path-traced (default), unshadowed (no shadows, no bounces), split-sum");
+  app.add_option("--texture-size", o.texture_size, "Texels a side (default 1024)");
+  app.add_option("--distance", o.distance, "Metres from camera to head (default 1)");
+  app.add_flag("--no-layers", c.no_layers, "Only images, mattes and albedo");
+  app.add_option("--noise", o.noise,
+                 "Noise of the training images: standard deviation of sRGB values, e.g. 0.01");
+  app.add_option("--compression", o.compression, "JPEG quality of the training images (1..100)");
+  app.add_option("--tracking-error", o.tracking_error,
+                 "Error of the tracked parameters; 1: about 1 mm, half a degree, 0.03 of a shape");
+  app.add_option("--measure-noise", c.measure_noise,
+                 "Only print the PSNR of one frame against N times the samples");
+}
+
+struct SceneCommand {
+  std::string scene, output;
+  int samples = 0;
+};
+
+int synth_scene(const SceneCommand& c, const CommonOptions& common) {
+  const Path out = c.output;
+  const bool png = out.extension() == ".png";
+  if (!png && out.extension() != ".exr")
+    throw Error(c.output + ": the picture's name must end in .exr (linear) or .png (sRGB).");
+  DescribedScene described = read_scene(c.scene);
+  if (c.samples > 0) described.options.samples = c.samples;
+  Progress progress("tracing", "rows", described.camera.height);
+  const Image image = trace_image(described.scene, described.camera, described.options, &progress);
+  progress.finish();
+  if (png) {
+    write_png8(out, to_8bit(display_image(image)));
+  } else {
+    write_exr(out, image, false);
+  }
+  const double rate = static_cast<double>(image.width) * image.height * described.options.samples /
+                      std::max(progress.seconds(), 1e-9);
+  if (common.json) {
+    print_json({{"seconds", progress.seconds()}, {"samples_per_second", rate}});
+  } else {
+    std::printf("%s: %.2f million samples a second\n", c.output.c_str(), rate * 1e-6);
+  }
+  return 0;
+}
+
+int synth_head(HeadCommand& c, const CommonOptions& common) {
+  SynthHeadOptions& o = c.options;
+  o.seed = common.seed;
+  o.truth = head_truth_from_name(c.truth);
+  o.layers = !c.no_layers;
+  if (c.no_relight) {
+    o.relight.clear();
+  } else {
+    // The capture's own light is not another light.
+    std::erase(o.relight, o.light);
+  }
+  if (c.measure_noise > 0) {
+    if (c.measure_noise < 2) throw Error("--measure-noise needs a factor of at least 2.");
+    const double noise = synth_head_noise(o, c.measure_noise);
+    if (common.json) {
+      print_json({{"psnr", noise}, {"samples", o.samples}});
+    } else {
+      std::printf("PSNR of %d samples against %d: %.2f dB\n", o.samples,
+                  o.samples * c.measure_noise, noise);
+    }
+    return 0;
+  }
+  const SynthHeadResult result = synth_head_capture(o, c.output);
+  if (common.json) {
+    print_json({{"frames", result.frames},
+                {"images", result.images},
+                {"seconds", result.seconds},
+                {"samples_per_second", result.samples_per_second}});
+  } else {
+    std::printf("%d images in %s, %.2f million samples a second\n", result.images,
+                format_duration(result.seconds).c_str(), result.samples_per_second * 1e-6);
+    std::printf("%s\n", c.output.c_str());
+  }
+  return 0;
+}
+
+}  // namespace
+
+int run_synth(int argc, char** argv) {
+  CLI::App app(
+      "Makes captures with known answers by path tracing: a talking built-in head under any "
+      "light,\n"
+      "its held-out frames under other lights, and the truth of every layer (docs/synth.md).\n\n"
+      "example: effigy synth head -o capture --frames 64 --size 256 --light sunset",
+      "synth");
+  app.require_subcommand(1);
+  CommonOptions common;
+  HeadCommand head;
+  CLI::App* head_app = app.add_subcommand("head", "a talking head seen by one camera");
+  add_head(*head_app, head);
+  add_common(*head_app, common, true, true);
+  SceneCommand scene;
+  CLI::App* scene_app =
+      app.add_subcommand("scene", "one picture of a described scene (docs/synth.md)");
+  scene_app->add_option("SCENE", scene.scene, "JSON description")->required();
+  scene_app->add_option("-o,--output", scene.output, "Picture: .exr (linear) or .png")->required();
+  scene_app->add_option("--spp", scene.samples, "Samples a pixel (default: as described)");
+  add_common(*scene_app, common, false, true);
+  if (!parse_command_line(app, argc, argv, common)) return 0;
+  return head_app->parsed() ? synth_head(head, common) : synth_scene(scene, common);
+}
+
+}  // namespace effigy

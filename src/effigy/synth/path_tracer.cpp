@@ -1,0 +1,196 @@
+#include "effigy/synth/path_tracer.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "effigy/base/error.h"
+#include "effigy/synth/brdf.h"
+#include "effigy/synth/camera_rays.h"
+#include "effigy/synth/sampler.h"
+
+namespace effigy {
+namespace {
+
+constexpr int kTile = 16;
+constexpr float kLeastCosine = 1e-3f;
+constexpr int kFirstRoulette = 2;  // bounces before it
+constexpr size_t kLightsTried = 4;
+
+class Tracer {
+ public:
+  Tracer(const TraceScene& scene, const TraceOptions& options)
+      : scene_(scene),
+        options_(options),
+        shadows_(options.transport == Transport::kGlobal),
+        bounces_(shadows_ ? options.bounces : 1) {}
+
+  // Radiance along a camera ray; false when it leaves the scene without meeting anything.
+  bool radiance(Vec3f origin, Vec3f direction, PixelSampler& sampler, Vec3f& total) const {
+    TraceScene::Hit hit = next_surface(origin, direction, sampler);
+    if (hit.triangle < 0) return false;
+    Vec3f weight = Vec3f::Ones();
+    for (int bounce = 1; bounce <= bounces_; ++bounce) {
+      const SurfacePoint point = scene_.surface(hit, direction);
+      const ShadingFrame frame(shading_normal(point, direction));
+      const Brdf brdf(point.albedo, point.roughness, point.specular, frame.to_local(-direction));
+      add_point_lights(point, frame, brdf, weight, sampler, total);
+      add_environment(point, frame, brdf, weight, sampler, total);
+      const Vec3f local = brdf.sample(sampler.next());
+      const Brdf::Value value = brdf.evaluate(local);
+      if (value.density <= 0) return true;
+      weight = weight.cwiseProduct(value.reflected) / value.density;
+      direction = frame.to_world(local);
+      origin = point.origin;
+      if (shadows_) {
+        hit = next_surface(origin, direction, sampler);
+        if (hit.triangle >= 0) {
+          if (!survives(bounce, sampler, weight)) return true;
+          continue;
+        }
+      }
+      if (const EnvironmentSampler* light = scene_.environment()) {
+        float density = 0;
+        const Vec3f from = light->radiance(direction, density);
+        total += weight.cwiseProduct(from) * (value.density / (value.density + density));
+      }
+      return true;
+    }
+    return true;
+  }
+
+ private:
+  // The next hit that is not passed by chance of its opacity.
+  TraceScene::Hit next_surface(const Vec3f& origin, const Vec3f& direction,
+                               PixelSampler& sampler) const {
+    float near = 0;
+    for (int layers = 0; layers < 256; ++layers) {
+      const TraceScene::Hit hit = scene_.closest(origin, direction, near);
+      if (hit.triangle < 0) return hit;
+      const float opacity = scene_.opacity(hit);
+      if (opacity >= 1 || (opacity > 0 && sampler.next().x() < opacity)) return hit;
+      near = hit.distance * (1 + 1e-6f) + scene_.offset();
+    }
+    return {};
+  }
+
+  static Vec3f shading_normal(const SurfacePoint& point, const Vec3f& direction) {
+    const float cosine = -point.mapped.dot(direction);
+    if (cosine >= kLeastCosine) return point.mapped;
+    const Vec3f bent = point.mapped - (kLeastCosine - cosine) * direction;
+    const float length = bent.norm();
+    return length > 0.1f ? Vec3f(bent / length) : point.geometric;
+  }
+
+  bool survives(int bounce, PixelSampler& sampler, Vec3f& weight) const {
+    if (bounce < kFirstRoulette) return weight.maxCoeff() > 0;
+    const float chance = std::min(weight.maxCoeff(), 0.95f);
+    if (sampler.next().x() >= chance) return false;
+    weight /= chance;
+    return true;
+  }
+
+  float passes(const SurfacePoint& point, const Vec3f& direction, float far) const {
+    return shadows_ ? scene_.transmittance(point.origin, direction, far) : 1.0f;
+  }
+
+  void add_environment(const SurfacePoint& point, const ShadingFrame& frame, const Brdf& brdf,
+                       const Vec3f& weight, PixelSampler& sampler, Vec3f& total) const {
+    const EnvironmentSampler* light = scene_.environment();
+    if (light == nullptr) return;
+    const EnvironmentSampler::Sample s = light->sample(sampler.next());
+    if (s.density <= 0) return;
+    const Brdf::Value value = brdf.evaluate(frame.to_local(s.direction));
+    if (value.density <= 0) return;
+    const float passed = passes(point, s.direction, 1e30f);
+    if (passed > 0)
+      total += weight.cwiseProduct(value.reflected).cwiseProduct(s.radiance) *
+               (passed / (s.density + value.density));
+  }
+
+  // What a point light gives unshadowed, and the way to it.
+  static Vec3f unshadowed(const PointLight& light, const SurfacePoint& point,
+                          const ShadingFrame& frame, const Brdf& brdf, Vec3f& direction,
+                          float& distance) {
+    direction = light.position - point.origin;
+    const float square = std::max(direction.squaredNorm(), 1e-12f);
+    distance = std::sqrt(square);
+    direction /= distance;
+    return brdf.evaluate(frame.to_local(direction)).reflected.cwiseProduct(light.intensity) /
+           square;
+  }
+
+  void add_point_lights(const SurfacePoint& point, const ShadingFrame& frame, const Brdf& brdf,
+                        const Vec3f& weight, PixelSampler& sampler, Vec3f& total) const {
+    const std::vector<PointLight>& lights = scene_.point_lights();
+    if (lights.empty()) return;
+    Vec3f direction;
+    float distance;
+    if (lights.size() <= kLightsTried) {
+      for (const PointLight& light : lights) {
+        const Vec3f given = unshadowed(light, point, frame, brdf, direction, distance);
+        if (given.maxCoeff() > 0)
+          total += weight.cwiseProduct(given) * passes(point, direction, distance);
+      }
+      return;
+    }
+    // Sampling in place: one pass sums what all give, a light replaces the chosen one with its
+    // share of the sum so far (the one random number is stretched again each time).
+    float sum = 0, u = sampler.next().x(), chosen_distance = 0, chosen_share = 0;
+    Vec3f chosen = Vec3f::Zero(), chosen_direction = Vec3f::UnitZ();
+    for (const PointLight& light : lights) {
+      const Vec3f given = unshadowed(light, point, frame, brdf, direction, distance);
+      const float share = given.sum();
+      if (!(share > 0)) continue;
+      sum += share;
+      const float chance = share / sum;
+      if (u < chance) {
+        chosen = given;
+        chosen_direction = direction;
+        chosen_distance = distance;
+        chosen_share = share;
+        u = std::min(u / chance, 0x1.fffffep-1f);
+      } else {
+        u = std::min((u - chance) / (1 - chance), 0x1.fffffep-1f);
+      }
+    }
+    if (chosen_share <= 0) return;
+    total += weight.cwiseProduct(chosen) *
+             (passes(point, chosen_direction, chosen_distance) * sum / chosen_share);
+  }
+
+  const TraceScene& scene_;
+  const TraceOptions& options_;
+  bool shadows_;
+  int bounces_;
+};
+
+}  // namespace
+
+Image trace_image(const TraceScene& scene, const Camera& camera, const TraceOptions& options,
+                  Progress* progress) {
+  if (options.samples < 1 || options.bounces < 1)
+    throw Error("A traced image needs at least one sample a pixel and one bounce.");
+  scene.check_lights();
+  scene.check_outside(camera.center());
+  const Tracer tracer(scene, options);
+  const CameraRays rays(camera);
+  Image image(camera.width, camera.height, 4);
+  for_each_tile(camera, kTile, progress, [&](int x, int y) {
+    PixelSampler sampler(static_cast<uint32_t>(x), static_cast<uint32_t>(y), options.seed);
+    Eigen::Array4d sum = Eigen::Array4d::Zero();
+    for (int s = 0; s < options.samples; ++s) {
+      sampler.start(static_cast<uint32_t>(s));
+      const Vec2f place = sampler.next();
+      Vec3f colour = Vec3f::Zero();
+      if (!tracer.radiance(rays.origin(), rays.direction(x + place.x(), y + place.y()), sampler,
+                           colour))
+        continue;
+      sum.head<3>() += colour.cast<double>().array();
+      sum[3] += 1;
+    }
+    Eigen::Map<Eigen::Array4f>(image.at(x, y)) = (sum / options.samples).cast<float>();
+  });
+  return image;
+}
+
+}  // namespace effigy
