@@ -10,10 +10,9 @@ namespace effigy {
 namespace {
 
 constexpr float kOpaque = 0.7f;   // alpha that hides what is behind it
-constexpr float kBehind = 0.01f;  // metres behind the surface that count as hidden
+constexpr float kBehind = 0.02f;  // metres behind the surface that count as hidden
 constexpr float kInside = 0.5f;   // of the matte
 constexpr float kFacing = 0.2f;   // cosine under which a front does not count as seen
-constexpr float kMost = 0.95f;    // share of the frames that counts as all
 constexpr float kReach = 1.5f;    // standard deviations at which a surfel is tested
 
 // What the frames show of a surfel or a triangle: in how many it is in the picture; of these, in
@@ -89,9 +88,9 @@ std::vector<float> texel_weights(const std::vector<Sight>& triangles, const Mesh
   return weights;
 }
 
-// Whether nearly all frames hide a surfel, so that its start is the better guess and disturbs none.
+// Whether all frames hide a surfel, so that its start is the better guess and disturbs none.
 bool is_unseen(const Sight& sight) {
-  return sight.hidden > 0 && sight.hidden >= kMost * static_cast<float>(sight.in_view);
+  return sight.hidden > 0 && sight.hidden == sight.in_view;
 }
 
 void copy_surfel(const BoundSurfels& from, size_t i, BoundSurfels& to) {

@@ -8,7 +8,7 @@
 
 namespace effigy {
 
-// Surfels of `start` that lie behind the avatar's own surface in nearly all of `frames` (indices
+// Surfels of `start` that lie behind the avatar's own surface in all of `frames` (indices
 // into capture.frames) replace the trained ones. Texels of triangles of which no
 // frame shows the front are filled from those near them (fill_over_surface); others keep their
 // bits. Returns how many surfels were replaced.
