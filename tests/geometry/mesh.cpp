@@ -169,8 +169,8 @@ TEST(TexelMap, TexelsKnowTheirPointOfTheSurface) {
       if (map.triangle[t] < 0) continue;
       const Vec3i& corner = mesh.uv_triangles[map.triangle[t]];
       const float b = map.barycentric[2 * t], c = map.barycentric[2 * t + 1];
-      const Vec2f uv = (1 - b - c) * mesh.uvs[corner[0]] + b * mesh.uvs[corner[1]] +
-                       c * mesh.uvs[corner[2]];
+      const Vec2f uv =
+          (1 - b - c) * mesh.uvs[corner[0]] + b * mesh.uvs[corner[1]] + c * mesh.uvs[corner[2]];
       EXPECT_NEAR(uv.x(), (x + 0.5f) / kSize, 1e-6f);
       EXPECT_NEAR(uv.y(), 1 - (y + 0.5f) / kSize, 1e-6f);
     }

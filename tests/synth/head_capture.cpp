@@ -11,6 +11,7 @@
 #include "effigy/image/metrics.h"
 #include "effigy/splat/surfel_raster.h"
 #include "effigy/synth/head_scene.h"
+#include "effigy/synth/prior_image.h"
 #include "effigy/synth/tracking_error.h"
 #include "effigy/synth/truth_image.h"
 #include "support.h"
@@ -31,7 +32,9 @@ SynthHeadOptions tiny() {
 
 TEST(SynthHead, TinyCaptureReadsBackWithItsTruth) {
   const test::ScratchFolder scratch;
-  synth_head_capture(tiny(), scratch / "capture");
+  SynthHeadOptions options = tiny();
+  options.albedo_prior = "truth";
+  synth_head_capture(options, scratch / "capture");
   const Capture capture = read_capture(scratch / "capture");
   ASSERT_EQ(capture.frames.size(), 4u);
   EXPECT_EQ(capture.rig.kind, "builtin");
@@ -55,6 +58,33 @@ TEST(SynthHead, TinyCaptureReadsBackWithItsTruth) {
     EXPECT_FALSE(capture.frames[f].albedo.empty());
     EXPECT_EQ(read_image8(capture.folder / capture.frames[f].albedo).width, 64);
   }
+}
+
+TEST(PriorImage, DegradedAsDocumented) {
+  // Half of the disc red, half blue; black outside.
+  const int size = 96;
+  Image albedo(size, size, 3), alpha(size, size, 1);
+  for (int y = 0; y < size; ++y)
+    for (int x = 0; x < size; ++x) {
+      if (std::hypot(x - 47.5, y - 47.5) > 40) continue;
+      alpha.at(x, y)[0] = 1;
+      albedo.at(x, y)[x < 48 ? 0 : 2] = 0.6f;
+    }
+  const Image8 truth = albedo_prior_image(albedo, alpha, "truth");
+  const Image8 degraded = albedo_prior_image(albedo, alpha, "degraded");
+  const auto linear = [](const Image8& image, int x, int y, int c) {
+    return linear_from_srgb(image.at(x, y)[c] / 255.0f);
+  };
+  EXPECT_NEAR(linear(truth, 20, 48, 0), 0.6, 0.005);
+  // Far from the seam: two thirds of itself and a third of the mean, darker and tinted; no dark
+  // rim.
+  for (const int x : {12, 20, 30}) {
+    EXPECT_NEAR(linear(degraded, x, 48, 0), 0.75 * 1.1 * (0.6 * 2 / 3 + 0.3 / 3), 0.01) << x;
+    EXPECT_NEAR(linear(degraded, x, 48, 2), 0.75 * 0.85 * 0.3 / 3, 0.01) << x;
+  }
+  EXPECT_NEAR(linear(degraded, 47, 48, 0), 0.75 * 1.1 * 0.3, 0.05);  // blurred at the seam
+  EXPECT_EQ(degraded.at(2, 2)[0], 0);
+  EXPECT_THROW(albedo_prior_image(albedo, alpha, "guess"), Error);
 }
 
 // The stored parameters and camera put the vertices where the mask is.

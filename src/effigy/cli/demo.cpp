@@ -14,8 +14,8 @@ namespace effigy {
 namespace {
 
 // Small enough for minutes on two cores, large enough to look at.
-constexpr int kFrames = 96, kSize = 384, kIterations = 1500, kSurfels = 8000, kTexture = 512,
-              kSamples = 4;
+constexpr int kFrames = 72, kSize = 320, kIterations = 1500, kSurfels = 8000, kTexture = 512,
+              kSamples = 32;
 
 TrainSettings demo_settings(uint64_t seed) {
   TrainSettings settings = TrainSettings::from_preset("quick");
@@ -47,9 +47,7 @@ int run_demo(int argc, char** argv) {
   synth.frames = kFrames;
   synth.size = kSize;
   synth.seed = common.seed;
-  synth.truth = HeadTruth::kSplitSum;
   synth.samples = kSamples;
-  synth.layers = false;
   synth_head_capture(synth, out / "capture");
   const Capture capture = read_capture(out / "capture");
   train_head(capture, demo_settings(common.seed), out / "avatar", {});

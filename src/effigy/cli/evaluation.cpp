@@ -98,7 +98,9 @@ Evaluation evaluate_avatar(const HeadAvatar& avatar, const Capture& capture,
         evaluate_refined(avatar, capture, evaluation.frames, options.refine_steps, distances);
   for (const RelightSet& set : relight_sets(capture))
     evaluation.relight[set.name] = score_relight(avatar, capture, set);
-  evaluation.albedo_error = albedo_error(avatar, capture, evaluation.frames);
+  evaluation.truth = score_truth(avatar, capture, evaluation.frames);
+  evaluation.albedo_error = evaluation.truth ? evaluation.truth->albedo_error
+                                             : albedo_error(avatar, capture, evaluation.frames);
   evaluation.edit = measure_edit_accuracy(avatar, edit_views(avatar, evaluation));
   evaluation.seconds =
       std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
@@ -119,6 +121,7 @@ Json Evaluation::metrics() const {
   if (refined) json["refined"] = with_net(*refined);
   json["relight"] = Json::object();
   for (const auto& [name, scores] : relight) json["relight"][name] = scores.to_json();
+  if (truth) json.update(truth->to_json());
   json["albedo_error"] = albedo_error ? Json(*albedo_error) : Json();
   json["edit"] = edit.to_json();
   if (lpips_net.empty()) json["lpips_note"] = lpips_note;

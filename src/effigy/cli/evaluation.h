@@ -10,6 +10,7 @@
 #include "effigy/head/edit_accuracy.h"
 #include "effigy/head/evaluate.h"
 #include "effigy/head/relight.h"
+#include "effigy/head/truth_scores.h"
 
 namespace effigy {
 
@@ -34,6 +35,7 @@ struct Evaluation {
   std::optional<ProtocolScores> refined;
   std::map<std::string, RelightScores> relight;  // synthetic captures only
   std::optional<double> albedo_error;            // mean absolute, sRGB, best scale; where known
+  std::optional<TruthScores> truth;              // synthetic captures with layers only
   std::string lpips_net, lpips_note;             // as in PerceptualDistances
   EditAccuracy edit;  // of a checker painted on the albedo, over frames and views
   double seconds = 0;

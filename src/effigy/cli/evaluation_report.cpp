@@ -158,9 +158,21 @@ class EvaluationReport {
           "light, aligned: what doing nothing scores.");
       truth_grid();
     }
-    if (e_.albedo_error)
+    if (e_.truth) {
+      const TruthScores& t = *e_.truth;
+      report_.add_table(
+          {"against the truth", "error"},
+          {{"albedo, sRGB, one scale per frame", format("{:.4f}", t.albedo_error)},
+           {"roughness", format("{:.3f}", t.roughness_error)},
+           {"F0", format("{:.3f}", t.specular_error)},
+           {"normals, degrees", format("{:.1f}", t.normal_degrees)},
+           {"depth, mm", format("{:.2f}", t.depth_error_mm)},
+           {"light, share of its irradiance, one scale", format("{:.3f}", t.environment_error)}},
+          "Mean absolute differences where truth and avatar cover the whole pixel.");
+    } else if (e_.albedo_error) {
       report_.add_paragraph(format(
           "Albedo error (mean absolute, sRGB, one scale per image): {:.4f}.", *e_.albedo_error));
+    }
     std::vector<std::string> columns;
     std::vector<ImageRow> rows(std::min<size_t>(kRelitShown, e_.frames.size()));
     const auto picked = spread_indices(e_.frames.size(), kRelitShown);

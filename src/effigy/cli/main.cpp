@@ -13,6 +13,7 @@ const std::vector<Command> kCommands = {
     {"train", run_train, "a capture to an avatar"},
     {"render", run_render, "frames or a video of an avatar: drive, orbit, relight, buffers"},
     {"eval", run_eval, "metrics and a report against a capture"},
+    {"study", run_study, "the system with and without each of its parts"},
     {"textures", run_textures, "export textures for painting, apply painted ones"},
     {"splat", run_splat, "the bare rasterizer on a described scene"},
     {"info", run_info, "what a file or folder is, and whether it is sound"},

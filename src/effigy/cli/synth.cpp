@@ -44,7 +44,10 @@ void add_head(CLI::App& app, HeadCommand& c) {
                  "path-traced (default), unshadowed (no shadows, no bounces), split-sum");
   app.add_option("--texture-size", o.texture_size, "Texels a side (default 1024)");
   app.add_option("--distance", o.distance, "Metres from camera to head (default 1)");
-  app.add_flag("--no-layers", c.no_layers, "Only images, mattes and albedo");
+  app.add_flag("--no-layers", c.no_layers, "Only images and mattes");
+  app.add_option("--albedo-prior", o.albedo_prior,
+                 "Albedo images for training's prior: none (default), truth, or degraded")
+      ->check(CLI::IsMember({"none", "truth", "degraded"}));
   app.add_option("--noise", o.noise,
                  "Noise of the training images: standard deviation of sRGB values, e.g. 0.01");
   app.add_option("--compression", o.compression, "JPEG quality of the training images (1..100)");

@@ -19,15 +19,6 @@ struct Mean {
   double value() const { return count > 0 ? sum / count : 0.0; }
 };
 
-Path file_inside(const Json& json, const std::string& field, const Path& file) {
-  const Path path = json_field<std::string>(json, field, file);
-  for (const Path& part : path)
-    if (part == ".." || path.is_absolute())
-      throw Error(file.string() +
-                  ": field 'relight' names a file outside the capture; correct it.");
-  return path;
-}
-
 PrefilteredEnvironment scaled(PrefilteredEnvironment light, double scale) {
   for (float& v : light.diffuse.texels) v *= static_cast<float>(scale);
   for (Cubemap& level : light.specular)
@@ -78,6 +69,15 @@ double mean_psnr(HeadRenderer& renderer, const Capture& capture, const RelightSe
 }
 
 }  // namespace
+
+Path file_inside(const Json& json, const std::string& field, const Path& file) {
+  const Path path = json_field<std::string>(json, field, file);
+  for (const Path& part : path)
+    if (part == ".." || path.is_absolute())
+      throw Error(file.string() + ": field '" + field +
+                  "' names a file outside the capture; correct it.");
+  return path;
+}
 
 std::vector<RelightSet> relight_sets(const Capture& capture) {
   std::vector<RelightSet> sets;

@@ -19,6 +19,10 @@ struct RelightSet {
 // Throws Error naming the field when it is malformed. Empty for captures without.
 std::vector<RelightSet> relight_sets(const Capture& capture);
 
+// The path in `field` of `json`, which stands in `file`; throws Error unless it stays inside the
+// capture.
+Path file_inside(const Json& json, const std::string& field, const Path& file);
+
 struct RelightScores {
   double psnr = 0, ssim = 0;
   double psnr_aligned = 0;  // after the one global scale that albedo/light ambiguity leaves free

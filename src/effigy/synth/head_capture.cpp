@@ -12,6 +12,7 @@
 #include "effigy/image/files.h"
 #include "effigy/image/metrics.h"
 #include "effigy/synth/head_scene.h"
+#include "effigy/synth/prior_image.h"
 #include "effigy/synth/tracking_error.h"
 #include "effigy/synth/truth_image.h"
 
@@ -141,7 +142,7 @@ class HeadCaptureWriter {
       frame.seconds = f / options_.frames_per_second;
       frame.image = "images/cam0/" + file(f, ".png");
       frame.mask = "masks/cam0/" + file(f, ".png");
-      frame.albedo = "albedo/cam0/" + file(f, ".png");
+      if (options_.albedo_prior != "none") frame.albedo = "albedo/cam0/" + file(f, ".png");
       capture_.frames.push_back(frame);
       truth_.poses.push_back(head.performance(frame.seconds));
     }
@@ -185,9 +186,11 @@ class HeadCaptureWriter {
     HeadScene& head = studio_.head();
     const SurfaceLayers layers =
         trace_layers(head.scene(), head.camera(), kLayerSamples, options_.seed);
-    Image albedo = layers.albedo;
-    for (float& value : albedo.data) value = srgb_from_linear(value);
-    write_png8(folder_.dir() / capture_.frames[f].albedo, to_8bit(albedo), {}, true);
+    const Path& prior = capture_.frames[f].albedo;
+    if (!prior.empty())
+      write_png8(folder_.dir() / prior,
+                 albedo_prior_image(layers.albedo, alpha_image(radiance), options_.albedo_prior),
+                 {}, true);
     const std::vector<float>& vertices = head.scene().vertices(0);
     truth_.vertices.insert(truth_.vertices.end(), vertices.begin(), vertices.end());
     for (const float x :

@@ -33,6 +33,8 @@ struct SynthHeadOptions {
   std::vector<std::string> relight = {"overcast", "sunset", "window"};  // of the held-out frames
   int relight_frames = 4;                                               // per light; -1: all
   bool layers = true;  // write the truth of every layer
+  // Albedo images for training's prior: "none", "truth" or "degraded" (synth/prior_image.h).
+  std::string albedo_prior = "none";
   // Defects of the training frames; the held-out frames and all truth stay clean.
   double noise = 0;           // standard deviation of the encoded values
   int compression = 0;        // JPEG quality 1..100; 0: none
