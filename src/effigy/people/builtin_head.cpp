@@ -1,6 +1,8 @@
 #include "effigy/people/builtin_head.h"
 
 #include <Eigen/Dense>
+#include <algorithm>
+#include <array>
 #include <cmath>
 
 #include "effigy/base/error.h"
@@ -8,6 +10,7 @@
 #include "effigy/people/head_landmarks.h"
 #include "effigy/people/head_mesh.h"
 #include "effigy/people/head_shape.h"
+#include "effigy/people/head_subject.h"
 #include "effigy/people/smooth.h"
 #include "effigy/rig/embedding.h"
 
@@ -21,7 +24,7 @@ using people::Shape;
 using people::smooth_step;
 
 enum Joint { kRoot, kNeck, kJaw, kEyeLeft, kEyeRight, kJoints };
-const Vec3d kNeckJoint(0, -112, -28), kRootJoint(0, -10, 0);
+const Vec3d kRootJoint(0, -10, 0);
 
 // Weights on the chosen vertices that give `joint` exactly (and sum to 1), nearest to equal ones:
 // w = w0 + A^T (A A^T)^-1 (b - A w0), A = [positions; ones].
@@ -70,7 +73,7 @@ void add_joints(const HeadMesh& head, Rig& rig) {
   const Vec3d left(people::kEyeX, people::kEyeY, people::kEyeZ);
   const std::vector<std::vector<double>> rows = {
       regressor_row(head, skin_at(-60, 40), kRootJoint),
-      regressor_row(head, skin_at(-135, -90), kNeckJoint),
+      regressor_row(head, skin_at(-135, -90), people::kNeckJoint),
       regressor_row(head, hinge, people::kJawHinge), regressor_row(head, eye(1), left),
       regressor_row(head, eye(-1), Vec3d(-left.x(), left.y(), left.z()))};
   for (const auto& row : rows)
@@ -87,7 +90,8 @@ void add_weights(const HeadMesh& head, Rig& rig) {
     } else {
       // The open ring follows the root, the head the neck joint.
       const double level = v.p.y() - 0.35 * (v.p.z() + 28);
-      const double neck = smooth_step(-172, -98, level);
+      const double neck =
+          smooth_step(-172, -98, level) * smooth_step(people::kNeckBottom + 1, -140, v.p.y());
       w[kJaw] = neck * jaw[i];
       w[kNeck] = neck - w[kJaw];
       w[kRoot] = 1 - neck;
@@ -100,8 +104,8 @@ void add_weights(const HeadMesh& head, Rig& rig) {
   }
 }
 
-void append(std::vector<float>& basis, const Shape& shape) {
-  for (const Vec3d& d : shape.offsets)
+void append(std::vector<float>& basis, const std::vector<Vec3d>& offsets) {
+  for (const Vec3d& d : offsets)
     for (int c = 0; c < 3; ++c) basis.push_back(static_cast<float>(d[c] * 1e-3));
 }
 
@@ -112,12 +116,12 @@ Rig make_rig() {
   rig.licence = "Apache-2.0";
   rig.mesh = head.mesh;
   for (const Shape& shape : people::identity_shapes(head)) {
-    append(rig.identity_basis, shape);
+    append(rig.identity_basis, shape.offsets);
     rig.identity_sigma.push_back(1.0f);
   }
   rig.identity_count = static_cast<int>(rig.identity_sigma.size());
   for (const Shape& shape : people::expression_shapes(head)) {
-    append(rig.expression_basis, shape);
+    append(rig.expression_basis, shape.offsets);
     rig.expression_names.push_back(shape.name);
     rig.expression_low.push_back(0.0f);
     rig.expression_high.push_back(1.0f);
@@ -125,6 +129,10 @@ Rig make_rig() {
   rig.expression_count = static_cast<int>(rig.expression_names.size());
   add_joints(head, rig);
   add_weights(head, rig);
+  std::vector<std::array<double, 3>> weights;
+  for (size_t i = 0; i < rig.weights.size(); i += kJoints)
+    weights.push_back({rig.weights[i + kRoot], rig.weights[i + kNeck], rig.weights[i + kJaw]});
+  for (const auto& shape : people::pose_shapes(head, weights)) append(rig.pose_basis, shape);
   rig.neck_ring = head.neck_ring;
   rig.multipie = people::multipie_landmarks(head);
   rig.mediapipe = embed_corresponding(rig);
@@ -132,11 +140,53 @@ Rig make_rig() {
   return rig;
 }
 
+// What a subject adds to the mean head: its identity, and its hair as a shell along the normals.
+std::vector<float> subject_offsets(const people::Subject& who) {
+  const HeadMesh& head = people::shared_head_mesh();
+  static const std::vector<Shape> modes = people::identity_shapes(head);
+  std::vector<Vec3d> offset(head.vertices.size(), Vec3d::Zero());
+  for (const auto& [name, value] : who.identity) {
+    const auto mode = std::find_if(modes.begin(), modes.end(),
+                                   [&, n = name](const Shape& s) { return s.name == n; });
+    EFFIGY_CHECK(mode != modes.end());
+    for (size_t i = 0; i < offset.size(); ++i) offset[i] += value * mode->offsets[i];
+  }
+  const std::vector<float> normals = vertex_normals(head.mesh.vertices, head.mesh.triangles);
+  std::vector<float> out;
+  for (size_t i = 0; i < offset.size(); ++i) {
+    const HeadVertex& v = head.vertices[i];
+    if (v.region == Region::kSkin)
+      offset[i] +=
+          people::hair_thickness(v.p, who.hair) * Vec3f(normals.data() + 3 * i).cast<double>();
+    for (int c = 0; c < 3; ++c) out.push_back(static_cast<float>(offset[i][c] * 1e-3));
+  }
+  return out;
+}
+
 }  // namespace
 
-Rig builtin_head_rig() {
-  static const Rig rig = make_rig();
+Rig builtin_head_rig(uint64_t subject) {
+  static const Rig mean = make_rig();
+  const people::Subject who = people::make_subject(subject);
+  Rig rig = mean;
+  const std::vector<float> own = subject_offsets(who);
+  for (size_t i = 0; i < own.size(); ++i) rig.mesh.vertices[i] += own[i];
   return rig;
+}
+
+LandmarkEmbedding builtin_head_network_points() {
+  static const LandmarkEmbedding points = [] {
+    LandmarkEmbedding all = people::network_landmarks(people::shared_head_mesh());
+    const LandmarkEmbedding some = builtin_head_rig().mediapipe;
+    for (size_t i = 0; i < some.size(); ++i)
+      if (some.index[i] >= 468) {
+        all.index.push_back(some.index[i]);
+        all.triangle.push_back(some.triangle[i]);
+        all.barycentric.push_back(some.barycentric[i]);
+      }
+    return all;
+  }();
+  return points;
 }
 
 }  // namespace effigy

@@ -21,7 +21,8 @@ constexpr double kFullOpening = 20 * kRadians;
 
 bool soft(const Site& s) {
   const Region r = s.vertex->region;
-  return r == Region::kSkin || r == Region::kEyeRing || r == Region::kMouthRing;
+  return r == Region::kSkin || r == Region::kEyeRing || r == Region::kMouthRing ||
+         r == Region::kNostrilRing;
 }
 // How much of a field of the lips reaches the loops behind them.
 double reach(const Site& s) {
@@ -33,7 +34,7 @@ double reach(const Site& s) {
 // Fields of brow and cheek hardly move the rim of the lids.
 double lids_held(const Site& s) {
   if (s.vertex->region != Region::kEyeRing) return 1;
-  static constexpr std::array<double, 5> kShare = {0.08, 0.16, 0.40, 0.75, 1};
+  static constexpr std::array<double, kEyeRings> kShare = {0.08, 0.12, 0.24, 0.42, 0.55, 0.80, 1};
   return s.vertex->ring < 0 ? 0.04 : kShare[static_cast<size_t>(s.vertex->ring)];
 }
 Vec3d at(const Site& s, const Vec3d& centre, const Vec3d& radii, const Vec3d& move) {
@@ -98,7 +99,7 @@ class Lids {
     const HeadVertex& v = *s.vertex;
     if (v.region != Region::kEyeRing || !s.same_side || v.ring >= kEyeRings - 1)
       return Vec3d::Zero();
-    static constexpr std::array<double, 4> kShare = {1, 0.93, 0.72, 0.30};
+    static constexpr std::array<double, kEyeRings - 1> kShare = {1, 0.97, 0.86, 0.62, 0.44, 0.16};
     static constexpr std::array<double, 4> kInside = {1, 0.75, 0, 0};
     const bool is_upper = v.index > 0 && v.index < kEyeLoop / 2;
     const double weight = (v.ring >= 0 ? kShare[static_cast<size_t>(v.ring)]
@@ -110,7 +111,7 @@ class Lids {
     const Vec3d eye(kEyeX, kEyeY, kEyeZ);
     Vec3d target = s.p + weight * (meeting - rim_[i]);
     // Stay on the ball: the way there is straight, so its end lies further out than its middle.
-    const double closed = v.ring < -1 ? 12.8 : v.ring < 0 ? 13.6 : v.ring <= 1 ? 14.3 : 13.9;
+    const double closed = v.ring < -1 ? 12.8 : v.ring < 0 ? 13.8 : v.ring <= 2 ? 14.2 : 13.9;
     const double floor = mix((s.p - eye).norm(), closed, std::min(1.0, std::abs(weight)));
     const double radius = (target - eye).norm();
     if (radius < floor) target = eye + (target - eye) * (floor / radius);
@@ -198,8 +199,10 @@ std::vector<std::pair<std::string, Field>> mouth_side_fields() {
        }},
       {"mouthSmile",
        [](const Site& s) {
+         // The cheek rises above a fold from the wing of the nose to the corner.
          return Vec3d(corner(s, {7, 6.5, -5}) +
-                      at(s, {40, -42, 70}, {20, 18, 28}, {2.5, 4.5, 3.0}) +
+                      at(s, {40, -40, 72}, {19, 16, 28}, {2.5, 5.0, 3.8}) +
+                      at(s, {30, -56, 82}, {9, 12, 18}, {0.5, 0.5, -1.6}) +
                       left_mouth(s) * Vec3d(1.5 * smooth_step(0, 20, s.p.x()), 0.8, -1.0));
        }},
       {"mouthStretch",

@@ -45,18 +45,19 @@ double spacing(const Vec3d& p) {
   fine = std::max(fine, bump(p, {0, kMouthY, 92}, {46, 28, 40}));
   fine = std::max(fine, bump(p, {kEyeX, 2, 80}, {30, 26, 30}));
   fine = std::max(fine, bump(p, {72, -14, -10}, {30, 40, 30}));
-  return mix(length, 4.3, std::min(1.0, 1.3 * fine));
+  length = mix(length, 4.3, std::min(1.0, 1.3 * fine));
+  return mix(length, 2.7, std::min(1.0, 1.3 * bump(p, {9, -44, 99}, {14, 13, 17})));
 }
 
 class SkinFiller {
  public:
   SkinFiller(Half& half, const std::vector<int>& mouth, const std::vector<int>& eye,
-             const std::vector<int>& ear)
+             const std::vector<int>& ear, const std::vector<int>& nostril)
       : half_(half) {
     collect_boundary(mouth);
     const int outline = static_cast<int>(ids_.size());
     for (int i = 0; i < outline; ++i) rims_.emplace_back(i, (i + 1) % outline);
-    for (const auto* loop : {&eye, &ear}) {
+    for (const auto* loop : {&eye, &ear, &nostril}) {
       std::vector<Vec2d> polygon;
       const int first = static_cast<int>(ids_.size()), n = static_cast<int>(loop->size());
       for (int i = 0; i < n; ++i) rims_.emplace_back(first + i, first + (i + 1) % n);
@@ -72,8 +73,10 @@ class SkinFiller {
   }
 
   void fill() {
+    tabulate();
     scatter();
     for (int round = 0; round < 24; ++round) relax();
+    settle();
     triangulate();
     for (int round = 0; round < 12; ++round) even_out();
   }
@@ -136,32 +139,42 @@ class SkinFiller {
     half_.neck.push_back(back.back());
   }
 
-  void scatter() {
-    // Positions on a grid, so that thousands of candidates need no marching.
-    constexpr int kColumns = 72, kRows = 82;
-    std::vector<Vec3d> grid((kColumns + 1) * (kRows + 1));
+  // Positions on a grid of the domain, so that thousands of candidates need no marching.
+  void tabulate() {
+    grid_.resize((kColumns + 1) * (kRows + 1));
     for (int r = 0; r <= kRows; ++r)
-      for (int c = 0; c <= kColumns; ++c)
-        grid[r * (kColumns + 1) + c] =
-            point_at(180.0 * c / kColumns, mix(kLevelBottom, kLevelTop, 1.0 * r / kRows));
+      for (int k = 0; k <= kColumns; ++k)
+        grid_[r * (kColumns + 1) + k] =
+            point_at(180.0 * k / kColumns, mix(kLevelBottom, kLevelTop, 1.0 * r / kRows));
+  }
+  Vec3d about(const Vec2d& domain) const {
+    const double x = std::clamp(domain.x() / 180, 0.0, 1.0) * kColumns;
+    const double y =
+        std::clamp((domain.y() - kLevelBottom) / (kLevelTop - kLevelBottom), 0.0, 1.0) * kRows;
+    const int k = std::min(static_cast<int>(x), kColumns - 1),
+              r = std::min(static_cast<int>(y), kRows - 1);
+    const double fx = x - k, fy = y - r;
+    const Vec3d* g = &grid_[r * (kColumns + 1) + k];
+    return (1 - fy) * ((1 - fx) * g[0] + fx * g[1]) +
+           fy * ((1 - fx) * g[kColumns + 1] + fx * g[kColumns + 2]);
+  }
+
+  void scatter() {
     Random random(7);
     for (int attempt = 0; attempt < 60000; ++attempt) {
-      const double x = random.uniform(0, kColumns), y = random.uniform(0, kRows);
-      const int c = static_cast<int>(x), r = static_cast<int>(y);
-      const double fx = x - c, fy = y - r;
-      const Vec3d* g = &grid[r * (kColumns + 1) + c];
-      const Vec3d p = (1 - fy) * ((1 - fx) * g[0] + fx * g[1]) +
-                      fy * ((1 - fx) * g[kColumns + 1] + fx * g[kColumns + 2]);
+      const double across = random.uniform(0, 180);
+      const Vec2d domain(across, random.uniform(kLevelBottom, kLevelTop));
+      const Vec3d p = about(domain);
       const double least = 0.78 * spacing(p);
       const bool free = std::none_of(positions_.begin(), positions_.end(), [&](const Vec3d& q) {
         return (p - q).squaredNorm() < least * least;
       });
       if (!free) continue;
-      const double azimuth = 180.0 * x / kColumns, level = mix(kLevelBottom, kLevelTop, y / kRows);
-      const Vec2d uv = uv_at(azimuth, level);
+      const Vec2d uv = uv_at(domain.x(), domain.y());
       if (!inside(uv)) continue;
-      positions_.push_back(point_at(azimuth, level));
+      positions_.push_back(p);
       uv_.push_back(uv);
+      domains_.push_back(domain);
     }
   }
 
@@ -181,9 +194,16 @@ class SkinFiller {
       const Vec2d domain = domain_of(old[i] + 0.5 * reach * push.cwiseMax(-0.6).cwiseMin(0.6));
       const Vec2d uv = uv_at(domain.x(), domain.y());
       if (!inside(uv)) continue;
-      positions_[i] = point_at(domain.x(), domain.y());
+      positions_[i] = about(domain);
       uv_[i] = uv;
+      domains_[i - fixed_] = domain;
     }
+  }
+
+  // From the table onto the skin itself.
+  void settle() {
+    for (size_t i = fixed_; i < positions_.size(); ++i)
+      positions_[i] = point_at(domains_[i - fixed_].x(), domains_[i - fixed_].y());
   }
 
   void triangulate() {
@@ -230,13 +250,16 @@ class SkinFiller {
   std::vector<Vec3d> positions_;
   std::vector<Vec2d> uv_;
   size_t fixed_ = 0;
+  std::vector<Vec2d> domains_;  // of the free points
+  static constexpr int kColumns = 90, kRows = 102;
+  std::vector<Vec3d> grid_;
 };
 
 }  // namespace
 
 void add_skin(Half& half, const std::vector<int>& mouth, const std::vector<int>& eye,
-              const std::vector<int>& ear) {
-  SkinFiller(half, mouth, eye, ear).fill();
+              const std::vector<int>& ear, const std::vector<int>& nostril) {
+  SkinFiller(half, mouth, eye, ear, nostril).fill();
 }
 
 }  // namespace effigy::people

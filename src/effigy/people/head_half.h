@@ -29,9 +29,10 @@ struct Half {
 std::vector<int> add_mouth_rings(Half& half);  // open: middle above .. middle below
 std::vector<int> add_eye_rings(Half& half);
 std::vector<int> add_ear_rings(Half& half);
+std::vector<int> add_nostril_rings(Half& half);
 // Fills the skin between the loops and the mirror plane with triangles of even size.
 void add_skin(Half& half, const std::vector<int>& mouth, const std::vector<int>& eye,
-              const std::vector<int>& ear);
+              const std::vector<int>& ear, const std::vector<int>& nostril);
 // Eyeball, teeth, tongue: pieces of their own.
 void add_eyeball(Half& half);
 void add_teeth(Half& half);

@@ -2,8 +2,10 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 
 #include "effigy/people/head_domain.h"
+#include "effigy/people/head_network_points.h"
 #include "effigy/people/head_shape.h"
 
 namespace effigy::people {
@@ -26,6 +28,9 @@ Vec3d nearest_weights(const Vec3d& p, const Vec3d& a, const Vec3d& b, const Vec3
   return {va / sum, vb / sum, vc / sum};
 }
 
+// Of a skin triangle, millimetres: what at_point may skip.
+constexpr double kLongestEdge = 40;
+
 class Embedder {
  public:
   explicit Embedder(const HeadMesh& head) : head_(head) {}
@@ -40,6 +45,8 @@ class Embedder {
       const Vec3i& t = head_.mesh.triangles[f];
       const Vec3d &a = head_.vertices[t[0]].p, &b = head_.vertices[t[1]].p,
                   &c = head_.vertices[t[2]].p;
+      const double reach = std::sqrt(best) + kLongestEdge;
+      if ((a - p).squaredNorm() > reach * reach) continue;
       const Vec3d w = nearest_weights(p, a, b, c);
       const double distance = (w[0] * a + w[1] * b + w[2] * c - p).squaredNorm();
       if (distance < best) {
@@ -59,6 +66,27 @@ class Embedder {
           add(index, f, Vec3d::Unit(k));
           return;
         }
+  }
+
+  // Between two neighbours of a ring: place may be fractional.
+  void on_ring(int index, Region region, int ring, double place, int side) {
+    const int from = std::min(static_cast<int>(place), 2 * kLipCorner - 1);
+    const double t = place - from;
+    const int a = head_.find(region, ring, from, side),
+              b = head_.find(region, ring, from + 1, side);
+    for (int f = 0; f < head_.mesh.triangle_count(); ++f) {
+      Vec3d weights = Vec3d::Zero();
+      int found = 0;
+      for (int k = 0; k < 3; ++k) {
+        const int v = head_.mesh.triangles[f][k];
+        if (v == a) weights[k] = 1 - t;
+        if (v == b) weights[k] = t;
+        found += v == a || v == b ? 1 : 0;
+      }
+      if (found < 2) continue;
+      add(index, f, weights);
+      return;
+    }
   }
 
   LandmarkEmbedding finish() {
@@ -138,6 +166,30 @@ LandmarkEmbedding multipie_landmarks(const HeadMesh& head) {
        {58, 2, 13, -1}, {59, 2, 11, -1}, {60, 0, 7, -1}, {61, 0, 3, -1}, {62, 0, 0, 1},
        {63, 0, 3, 1},   {64, 0, 7, 1},   {65, 0, 11, 1}, {66, 0, 14, 1}, {67, 0, 11, -1}}};
   for (const auto& lip : kLips) put.at_ring(lip[0], Region::kMouthRing, lip[1], lip[2], lip[3]);
+  return put.finish();
+}
+
+LandmarkEmbedding network_landmarks(const HeadMesh& head) {
+  Embedder put(head);
+  // The inner rims of the lips lie on each other at rest, so they go by the ring: from the corner
+  // on the subject's right over the middle to the left, above and below.
+  static constexpr std::array<std::array<int, 11>, 2> kInner = {
+      {{78, 191, 80, 81, 82, 13, 312, 311, 310, 415, 308},
+       {78, 95, 88, 178, 87, 14, 317, 402, 318, 324, 308}}};
+  std::array<bool, 468> done{};
+  for (int lip = 0; lip < 2; ++lip)
+    for (int k = lip; k <= 10 - lip; ++k) {
+      const double from_corner = kLipCorner * (k <= 5 ? k : 10 - k) / 5.0;
+      const double place = kLipCorner + (lip == 0 ? -from_corner : from_corner);
+      const auto index =
+          static_cast<size_t>(kInner[static_cast<size_t>(lip)][static_cast<size_t>(k)]);
+      put.on_ring(static_cast<int>(index), Region::kMouthRing, 0, place, k <= 5 ? -1 : 1);
+      done[index] = true;
+    }
+  for (size_t i = 0; i < kNetworkPoints.size(); ++i) {
+    const auto& p = kNetworkPoints[i];
+    if (!done[i]) put.at_point(static_cast<int>(i), Vec3d(p[0], p[1], p[2]));
+  }
   return put.finish();
 }
 

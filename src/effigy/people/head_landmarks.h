@@ -1,4 +1,4 @@
-// The 68 MultiPIE/iBUG landmarks on the built-in head, by construction.
+// Landmarks on the built-in head.
 #pragma once
 
 #include "effigy/people/head_mesh.h"
@@ -6,6 +6,9 @@
 
 namespace effigy::people {
 
+// The 68 of MultiPIE/iBUG, by construction.
 LandmarkEmbedding multipie_landmarks(const HeadMesh& head);
+// The 468 of MediaPipe's face mesh; the irises are not among them.
+LandmarkEmbedding network_landmarks(const HeadMesh& head);
 
 }  // namespace effigy::people

@@ -23,7 +23,7 @@ using people::Region;
 
 // What a vertex brings to the texels around it.
 struct Marks {
-  double lip = 0, lash = 0, inside = 0, ear = 0, along = 0, gum = 0;
+  double lip = 0, lash = 0, inside = 0, ear = 0, nostril = 0, along = 0, gum = 0;
 };
 
 Marks marks_of(const HeadVertex& v) {
@@ -39,6 +39,9 @@ Marks marks_of(const HeadVertex& v) {
       break;
     case Region::kEarRing:
       m.ear = v.ring == 0 ? 0.0 : 1.0;
+      break;
+    case Region::kNostrilRing:
+      m.nostril = v.ring == 0 ? 0.0 : v.ring == 1 ? 0.5 : 1.0;
       break;
     case Region::kUpperTeeth:
     case Region::kLowerTeeth:
@@ -90,8 +93,12 @@ void rasterize_uv(const Mesh& mesh, int size, Visit visit) {
 
 class Painter {
  public:
-  explicit Painter(int size)
-      : head_(people::shared_head_mesh()), size_(size), places_(pixels()), filled_(pixels(), 0) {}
+  Painter(int size, uint64_t subject)
+      : head_(people::shared_head_mesh()),
+        subject_(people::make_subject(subject)),
+        size_(size),
+        places_(pixels()),
+        filled_(pixels(), 0) {}
 
   HeadMaterials paint() {
     collect();
@@ -118,6 +125,7 @@ class Painter {
         place.lash += w[k] * marks[v].lash;
         place.inside += w[k] * marks[v].inside;
         place.ear += w[k] * marks[v].ear;
+        place.nostril += w[k] * marks[v].nostril;
         place.along += w[k] * marks[v].along;
         place.gum += w[k] * marks[v].gum;
       }
@@ -142,7 +150,7 @@ class Painter {
         for (int x = 0; x < size_; ++x)
           if (filled_[at(x, y)]) {
             const double texel = std::max({step(x, y, 1, 0), step(x, y, 0, 1), 200.0 / size_});
-            paint_[at(x, y)] = paint_at(places_[at(x, y)], texel);
+            paint_[at(x, y)] = paint_at(places_[at(x, y)], texel, subject_);
           }
     });
     normals_.assign(pixels(), Vec3d(0, 0, 1));
@@ -198,6 +206,7 @@ class Painter {
   }
 
   const HeadMesh& head_;
+  people::Subject subject_;
   int size_;
   std::vector<Place> places_;
   std::vector<char> filled_;
@@ -207,11 +216,11 @@ class Painter {
 
 }  // namespace
 
-HeadMaterials builtin_head_materials(int size) {
+HeadMaterials builtin_head_materials(int size, uint64_t subject) {
   if (size < 8 || size > 8192)
     throw Error("The built-in head's texture size must be 8 to 8192, not " + std::to_string(size) +
                 ".");
-  return Painter(size).paint();
+  return Painter(size, subject).paint();
 }
 
 }  // namespace effigy

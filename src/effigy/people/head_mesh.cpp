@@ -82,7 +82,8 @@ HeadMesh build_head_mesh() {
   const auto mouth = add_mouth_rings(half);
   const auto eye = add_eye_rings(half);
   const auto ear = add_ear_rings(half);
-  add_skin(half, mouth, eye, ear);
+  const auto nostril = add_nostril_rings(half);
+  add_skin(half, mouth, eye, ear, nostril);
   add_eyeball(half);
   add_teeth(half);
   add_tongue(half);

@@ -10,11 +10,13 @@
 namespace effigy::people {
 
 enum class Region : uint8_t {
-  kSkin,       // free skin between the rings
-  kEyeRing,    // loops around an eye opening; ring 0 = lid rim, 4 = outermost, < 0 inside
-  kMouthRing,  // loops around the mouth; ring 0 = line of the lips, 2 = vermilion border, < 0
-               // inside
-  kEarRing,    // loops of an ear; ring 0 = where it leaves the head
+  kSkin,         // free skin between the rings
+  kEyeRing,      // loops around an eye opening; ring 0 = lid rim, 3 = crease, 6 = outermost,
+                 // < 0 inside
+  kMouthRing,    // loops around the mouth; ring 0 = line of the lips, 2 = vermilion border, < 0
+                 // inside
+  kEarRing,      // loops of an ear; ring 0 = where it leaves the head
+  kNostrilRing,  // loops into a nostril; ring 0 = its rim
   kEyeball,
   kUpperTeeth,
   kLowerTeeth,
@@ -24,8 +26,8 @@ enum class Region : uint8_t {
 // Eye rings have kEyeLoop points: 0 = inner corner, over the upper lid to kEyeLoop / 2 = outer
 // corner, back along the lower lid. Mouth rings, per half: 0 = middle above, kLipCorner = corner,
 // 2 kLipCorner = middle below.
-inline constexpr int kEyeLoop = 24, kLipCorner = 7, kEarLoop = 24;
-inline constexpr int kEyeRings = 5, kMouthRings = 5;
+inline constexpr int kEyeLoop = 24, kLipCorner = 7, kEarLoop = 28, kNostrilLoop = 10;
+inline constexpr int kEyeRings = 7, kMouthRings = 5;
 
 struct HeadVertex {
   Vec3d p = Vec3d::Zero();  // rest, millimetres

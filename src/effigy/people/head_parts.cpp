@@ -70,9 +70,8 @@ void add_eyeball(Half& half) {
   std::vector<int> previous;
   for (size_t ring = 0; ring < kAngles.size(); ++ring) {
     const double angle = kAngles[ring] * kPi / 180;
-    // The cornea stands out by 0.35 mm.
     const double cornea = std::max(0.0, 1 - std::pow(kAngles[ring] / 29.4, 2));
-    const double radius = kEyeRadius + 0.35 * cornea;
+    const double radius = kEyeRadius + kCorneaHeight * cornea;
     std::vector<int> current;
     for (int i = 0; i < (ring == 0 ? 1 : kSegments); ++i) {
       const double turn = -2 * kPi * i / kSegments;  // clockwise seen from the front
@@ -92,8 +91,8 @@ void add_eyeball(Half& half) {
 }
 
 void add_teeth(Half& half) {
-  add_arch(half, Region::kUpperTeeth, -61, -74.2, 85.5, 3, {0.902, 0.052}, {0.988, 0.012});
-  add_arch(half, Region::kLowerTeeth, -87, -75.0, 82.6, 3, {0.902, 0.058}, {0.988, 0.094});
+  add_arch(half, Region::kUpperTeeth, -62, -76.0, 90.0, 3, {0.902, 0.052}, {0.988, 0.012});
+  add_arch(half, Region::kLowerTeeth, -87, -74.8, 86.6, 3, {0.902, 0.058}, {0.988, 0.094});
 }
 
 void add_tongue(Half& half) {
@@ -106,7 +105,7 @@ void add_tongue(Half& half) {
     for (int i = 0; i <= (r == 0 ? 0 : kSteps); ++i) {
       const double turn = 0.5 * kPi - kPi * i / kSteps;  // front .. back, seen from above
       const double reach = std::sin(0.5 * kPi * s), high = std::cos(0.5 * kPi * s);
-      const Vec3d p(17 * reach * std::cos(turn), -84 + 8 * high, 56 + 23 * reach * std::sin(turn));
+      const Vec3d p(17 * reach * std::cos(turn), -84 + 8 * high, 59 + 24 * reach * std::sin(turn));
       const bool mid = r == 0 || i == 0 || i == kSteps;
       ring.push_back(
           half.add(make({mid ? 0.0 : p.x(), p.y(), p.z()}, Region::kTongue, r, i, mid ? 0 : 1),

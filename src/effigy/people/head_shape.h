@@ -10,12 +10,9 @@ namespace effigy::people {
 
 // Landmarks of the form that other files build on (left side; millimetres).
 inline constexpr double kEyeX = 31.5, kEyeY = 0.0, kEyeZ = 69.0;  // eyeball centre
-inline constexpr double kEyeRadius = 12.0;
+inline constexpr double kEyeRadius = 12.0, kCorneaHeight = 0.9;   // how far the cornea stands out
 inline constexpr double kMouthY = -72.5, kMouthHalfWidth = 25.0;
 inline constexpr double kNeckBottom = -172.0;
-
-// 1 where hair grows, 0 on bare skin, changing over `soft` millimetres at the hairline.
-double hair_cover(const Vec3d& p, double soft);
 
 // Negative inside. Smooth except at the mirror plane's far side; not an exact distance, but its
 // gradient is at most about 1, so marching by 0.7 of it is safe.

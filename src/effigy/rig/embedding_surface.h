@@ -1,4 +1,4 @@
-// The surface of a rig's template as the landmark embedding sees it. Used by embedding.cpp only.
+// Closest points and lines on a rig's template, for landmark embedding and surface fitting.
 #pragma once
 
 #include <map>

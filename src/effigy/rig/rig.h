@@ -2,7 +2,7 @@
 //   rest(beta)   = template + identity_basis . beta
 //   shaped       = rest + expression_basis . psi + pose_basis . vec(R_j - I)_{j >= 1}
 //   vertices     = LBS(shaped, joints, weights, joint rotations) + translation
-// (FLAME, Li et al. 2017; ICT and the built-in head have no pose basis.) Metres, y up, face +z.
+// (FLAME, Li et al. 2017; ICT has no pose basis.) Metres, y up, face +z.
 #pragma once
 
 #include <array>
