@@ -60,6 +60,19 @@ TEST(SynthHead, TinyCaptureReadsBackWithItsTruth) {
   }
 }
 
+TEST(SynthHead, SubjectsDiffer) {
+  const test::ScratchFolder scratch;
+  SynthHeadOptions options = tiny();
+  options.frames = 2;
+  options.relight.clear();
+  synth_head_capture(options, scratch / "one");
+  options.subject = 3;
+  synth_head_capture(options, scratch / "three");
+  const Image8 one = read_capture(scratch / "one").load_image(0),
+               three = read_capture(scratch / "three").load_image(0);
+  EXPECT_LT(psnr(to_float(one), to_float(three)), 25);
+}
+
 TEST(PriorImage, DegradedAsDocumented) {
   // Half of the disc red, half blue; black outside.
   const int size = 96;

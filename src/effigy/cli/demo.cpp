@@ -14,8 +14,9 @@ namespace effigy {
 namespace {
 
 // Small enough for minutes on two cores, large enough to look at.
-constexpr int kFrames = 72, kSize = 320, kIterations = 1500, kSurfels = 8000, kTexture = 512,
-              kSamples = 32;
+constexpr int kFrames = 64, kSize = 288, kIterations = 1500, kSurfels = 8000, kTexture = 512,
+              kSamples = 64;
+constexpr double kFramesPerSecond = 10;  // few frames, but of all that the head does
 
 TrainSettings demo_settings(uint64_t seed) {
   TrainSettings settings = TrainSettings::from_preset("quick");
@@ -48,6 +49,7 @@ int run_demo(int argc, char** argv) {
   synth.size = kSize;
   synth.seed = common.seed;
   synth.samples = kSamples;
+  synth.frames_per_second = kFramesPerSecond;
   synth_head_capture(synth, out / "capture");
   const Capture capture = read_capture(out / "capture");
   train_head(capture, demo_settings(common.seed), out / "avatar", {});

@@ -28,6 +28,7 @@ void add_head(CLI::App& app, HeadCommand& c) {
   o.size = 512;
   o.relight_frames = -1;
   app.add_option("-o,--output", c.output, "Capture folder")->required();
+  app.add_option("--subject", o.subject, "Who: 1 to 5 are the standard subjects (default 1)");
   app.add_option("--frames", o.frames, "Frames (default 120)");
   app.add_option("--size", o.size, "Pixels a side (default 512)");
   app.add_option("--fps", o.frames_per_second, "Frames a second (default 30)");

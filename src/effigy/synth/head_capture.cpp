@@ -129,7 +129,7 @@ class HeadCaptureWriter {
  private:
   void start_capture() {
     HeadScene& head = studio_.head();
-    capture_.source = "the built-in head";
+    capture_.source = "the built-in head, subject " + std::to_string(options_.subject);
     capture_.licence = "Apache-2.0";
     capture_.consent = "not a real person";
     capture_.frames_per_second = options_.frames_per_second;

@@ -28,6 +28,7 @@ struct SynthHeadOptions {
   int bounces = 8;
   int texture_size = 1024;
   double distance = 1.0;         // metres from camera to the head's middle
+  uint64_t subject = 1;          // who: 1 to 5 are the standard subjects (docs/people.md)
   uint64_t seed = 1;             // of the performance and the noise
   std::string light = "studio";  // a built-in light or an environment file: the capture's light
   std::vector<std::string> relight = {"overcast", "sunset", "window"};  // of the held-out frames

@@ -10,8 +10,8 @@ namespace {
 constexpr double kFieldOfView = 0.35;  // radians, at a metre
 constexpr double kUsualDistance = 1.0;
 
-SurfaceMaterial head_material(int size) {
-  HeadMaterials maps = builtin_head_materials(size);
+SurfaceMaterial head_material(int size, uint64_t subject) {
+  HeadMaterials maps = builtin_head_materials(size, subject);
   SurfaceMaterial material;
   material.albedo = std::move(maps.albedo);
   material.roughness = std::move(maps.roughness);
@@ -23,7 +23,7 @@ SurfaceMaterial head_material(int size) {
 }  // namespace
 
 HeadScene::HeadScene(const SynthHeadOptions& options)
-    : rig_(builtin_head_rig()), shape_(shape_rig(rig_, {})), seed_(options.seed) {
+    : rig_(builtin_head_rig(options.subject)), shape_(shape_rig(rig_, {})), seed_(options.seed) {
   // Nearer or farther, the head keeps its size in the picture.
   camera_.width = camera_.height = options.size;
   camera_.fx = camera_.fy = 0.5 * options.size / std::tan(0.5 * kFieldOfView) *
@@ -37,7 +37,8 @@ HeadScene::HeadScene(const SynthHeadOptions& options)
   }
   offset_ = -0.5f * (low + high);
   offset_.z() = static_cast<float>(-options.distance);
-  const int material = scene_.add_material(head_material(options.texture_size), "the head");
+  const int material =
+      scene_.add_material(head_material(options.texture_size, options.subject), "the head");
   scene_.add_mesh(rig_.mesh, material, "the head");
 }
 
