@@ -63,7 +63,6 @@ TEST(SynthHead, TinyCaptureReadsBackWithItsTruth) {
 TEST(SynthHead, SubjectsDiffer) {
   const test::ScratchFolder scratch;
   SynthHeadOptions options = tiny();
-  options.frames = 2;
   options.relight.clear();
   synth_head_capture(options, scratch / "one");
   options.subject = 3;
