@@ -108,6 +108,20 @@ TEST(PoseShapes, AreZeroAtRestAndKeepTheNecksGirth) {
   EXPECT_GT(girth(rig), girth(plain));
 }
 
+TEST(PoseShapes, TheChinGoesWithTheHeadAndTheRingStays) {
+  const Rig rig = builtin_head_rig();
+  const auto rest = turned(rig, 1, Vec3f::Zero()), side = turned(rig, 1, Vec3f(0, 0.5f, 0));
+  const auto a = landmark_positions(rig.multipie, rig.mesh.triangles, rest);
+  const auto b = landmark_positions(rig.multipie, rig.mesh.triangles, side);
+  // Chin (8) and tip of the nose (30) keep their distance.
+  auto length = [](const std::vector<float>& marks) {
+    return (Vec3f(&marks[3 * 8]) - Vec3f(&marks[3 * 30])).norm();
+  };
+  EXPECT_NEAR(length(b), length(a), 0.5e-3f);
+  for (const int v : rig.neck_ring)
+    EXPECT_LT((Vec3f(&side[3 * v]) - Vec3f(&rest[3 * v])).norm(), 0.5e-3f);
+}
+
 TEST(PoseShapes, LidsGiveWayToTheCornea) {
   const Rig rig = builtin_head_rig();
   Rig plain = rig;

@@ -88,8 +88,8 @@ void add_weights(const HeadMesh& head, Rig& rig) {
     if (v.region == Region::kEyeball) {
       w[v.side > 0 ? kEyeLeft : kEyeRight] = 1;
     } else {
-      // The open ring follows the root, the head the neck joint.
-      const double level = v.p.y() - 0.35 * (v.p.z() + 28);
+      // The open ring follows the root, the head, chin included, the neck joint.
+      const double level = v.p.y() + 0.35 * (v.p.z() + 28);
       const double neck =
           smooth_step(-172, -98, level) * smooth_step(people::kNeckBottom + 1, -140, v.p.y());
       w[kJaw] = neck * jaw[i];
