@@ -88,7 +88,9 @@ std::vector<std::vector<Vec3d>> pose_shapes(const HeadMesh& head,
       for (size_t i = 0; i < head.vertices.size(); ++i) {
         const HeadVertex& v = head.vertices[i];
         Vec3d d = Vec3d::Zero();
-        if (soft(v) && joint == 1) d = neck_shape(v.p, weights[i][1] + weights[i][2], entry);
+        if (soft(v) && joint == 1)  // the open ring stays with the root
+          d = smooth_step(kNeckBottom, -155, v.p.y()) *
+              neck_shape(v.p, weights[i][1] + weights[i][2], entry);
         if (soft(v) && joint == 2) d = jaw_shape(v, weights[i][2], entry);
         if (joint >= 3) d = eye_shape(v, joint == 3 ? 1 : -1, entry);
         shape.push_back(d.norm() < 0.01 ? Vec3d::Zero() : d);
