@@ -61,7 +61,7 @@ TEST(Commands, HelpAndVersion) {
   const Outcome help = run("--help");
   EXPECT_EQ(help.code, 0);
   for (const char* name : {"demo", "track", "train", "render", "eval", "textures", "splat", "synth",
-                           "info", "bench"}) {
+                           "study", "info", "bench"}) {
     EXPECT_TRUE(contains(help.out, name)) << name;
     const Outcome one = run(std::string(name) + " --help");
     EXPECT_EQ(one.code, 0) << name << one.err;
@@ -210,6 +210,45 @@ TEST(Commands, SynthRefusesBadInputInOneSentence) {
   write_text(scratch / "plate.obj",
              box + "f 1 3 4 2\nf 5 6 8 7\nf 1 2 6 5\nf 3 7 8 4\nf 1 5 7 3\nf 2 4 8 6\n");
   fails(scene({}), "inside a mesh");
+}
+
+TEST(Commands, StudyScoresItsCellsOnce) {
+  const test::ScratchFolder scratch;
+  const std::string capture = (scratch / "capture").string(), out = (scratch / "study").string();
+  ASSERT_EQ(run("synth head -o " + capture +
+                " --frames 5 --size 40 --spp 1 --texture-size 64 --relight window")
+                .code,
+            0);
+  const std::string study = "study relight " + capture + " -o " + out +
+                            " --iterations 12 --surfels 200 --texture-size 64 --frames 1 --json";
+  const std::string cells = " --cell 'without mask loss' --cell 'without light prior'";
+  const Outcome first = run(study + cells);
+  ASSERT_EQ(first.code, 0) << first.err;
+  const Json table = Json::parse(first.out)["cells"];
+  ASSERT_EQ(table.size(), 3u);
+  EXPECT_EQ(table[0]["name"], "all");
+  EXPECT_EQ(table[1]["changes"], Json({{"weight.mask", 0.0}}));
+  for (const Json& cell : table) {
+    EXPECT_GT(cell["metrics"]["relight"]["window"]["psnr_aligned"].get<double>(), 3.0);
+    EXPECT_GT(cell["metrics"]["psnr"].get<double>(), 3.0);
+  }
+  EXPECT_TRUE(contains(read_text(scratch / "study" / "report.html"), "without light prior"));
+
+  // What was scored is not trained again: a mark in a cell's record comes back.
+  const Path record = scratch / "study" / "cells" / "without-mask-loss" / "cell.json";
+  Json marked = read_json(record);
+  marked["metrics"]["psnr"] = 123.0;
+  write_json(record, marked);
+  EXPECT_EQ(Json::parse(run(study + cells).out)["cells"][1]["metrics"]["psnr"], 123.0);
+
+  for (const std::string& wrong :
+       {std::string("study relight"), "study relight " + capture,
+        std::string("study relight /nonexistent -o x"), study + " --cell nonsense",
+        std::string("study body " + capture + " -o x")}) {
+    const Outcome outcome = run(wrong);
+    EXPECT_EQ(outcome.code, 2) << wrong << outcome.err;
+    EXPECT_TRUE(outcome.one_sentence()) << wrong << outcome.err;
+  }
 }
 
 TEST(Commands, WriteFailuresExit1AndKeepWhatWasThere) {
