@@ -10,6 +10,7 @@ find_package(PNG REQUIRED)           # image: PNG, 8 and 16 bit
 find_package(JPEG REQUIRED)          # image: JPEG
 find_package(OpenEXR REQUIRED)       # image: EXR
 find_package(nlohmann_json REQUIRED) # base: JSON files
+find_package(TinyGLTF REQUIRED)      # people: the user's glTF bodies
 find_package(CLI11 REQUIRED)         # cli: arguments
 pkg_check_modules(HWY REQUIRED IMPORTED_TARGET libhwy)        # base: SIMD kernels
 pkg_check_modules(AVIF REQUIRED IMPORTED_TARGET libavif)      # image: AVIF frames of imported captures
