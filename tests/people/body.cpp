@@ -127,8 +127,9 @@ TEST(BuiltinBody, EveryJointMovesOnlyItsOwnSide) {
     const float x = rig.mesh.vertex(static_cast<int>(v)).x();
     if (std::abs(x) < 0.12f) continue;
     for (size_t j = 0; j < joints; ++j)
-      if (rig.joint_names[j].ends_with(x > 0 ? "_right" : "_left"))
+      if (rig.joint_names[j].ends_with(x > 0 ? "_right" : "_left")) {
         EXPECT_LT(rig.weights[v * joints + j], 0.02f) << rig.joint_names[j];
+      }
   }
 }
 
@@ -165,7 +166,9 @@ TEST(BuiltinBody, KeypointsAreInsideTheBody) {
     for (size_t i = 0; i < names.size(); ++i) {
       const Vec3f p = point(keypoints.body, static_cast<int>(i));
       // The tips lie on the surface.
-      if (names[i].find("_tip") == std::string::npos) EXPECT_TRUE(inside(scene, p)) << names[i];
+      if (names[i].find("_tip") == std::string::npos) {
+        EXPECT_TRUE(inside(scene, p)) << names[i];
+      }
     }
   }
 }
@@ -206,7 +209,9 @@ TEST(BodyCloth, WrinklesFollowThePoseWithALag) {
     const double now = roughness_of(moving.wrinkles());
     EXPECT_GE(now, before - 1e-9);
     before = now;
-    if (frame == 0) EXPECT_LT(now, 0.5 * full);
+    if (frame == 0) {
+      EXPECT_LT(now, 0.5 * full);
+    }
   }
   EXPECT_NEAR(before, full, 0.02 * full);
   // The tracked mesh knows nothing of it.
@@ -230,7 +235,9 @@ TEST(BodyCloth, MovesClothOnly) {
   double largest = 0;
   for (int v = 0; v < mesh.vertex_count(); ++v) {
     const double moved = (point(cloth.vertices(), v) - point(cloth.tracked(), v)).norm();
-    if (!clothed[v]) EXPECT_EQ(moved, 0);
+    if (!clothed[v]) {
+      EXPECT_EQ(moved, 0);
+    }
     largest = std::max(largest, moved);
   }
   EXPECT_GT(largest, 0.003);

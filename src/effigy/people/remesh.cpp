@@ -220,7 +220,8 @@ class Remesher {
     int found[2];
     if (around(a, b, found) != 2 || (fixed_[z(a)] && fixed_[z(b)])) return;
     const int c = opposite(found[0], a, b), d = opposite(found[1], a, b);
-    if (c == d) return;
+    // Two fixed points may be joined on the other side of the boundary.
+    if (c == d || (fixed_[z(c)] && fixed_[z(d)])) return;
     const auto off = [&](int v, int change) {
       const int n = static_cast<int>(fans_[z(v)].size()) + (fixed_[z(v)] ? 3 : 0) + change - 6;
       return n * n;
