@@ -6,7 +6,6 @@
 #include "effigy/people/body_shape.h"
 #include "effigy/people/noise.h"
 #include "effigy/people/smooth.h"
-#include "effigy/people/solids.h"
 
 namespace effigy::people {
 
@@ -83,10 +82,9 @@ double BodyForm::shoe(const Vec3d& p) const {
   double upper = foot_.distance(p, 1.5);
   // The opening around the ankle.
   const Vec3d ankle = joints_.foot;
-  upper = join(upper,
-               capsule_distance(p, ankle + Vec3d(0, -30, -2) * k, ankle + Vec3d(0, 4, -6) * k,
-                                44 * k, 42 * k),
-               24);
+  upper =
+      join(upper,
+           limb(p, ankle + Vec3d(0, -30, -2) * k, ankle + Vec3d(0, 4, -6) * k, 44 * k, 42 * k), 24);
   upper = meet(upper, 8 - p.y(), 6);
   const double sole = meet(meet(sole_.distance(p, 5), -p.y(), 5), p.y() - 24, 4);
   return join(upper, sole, 3);

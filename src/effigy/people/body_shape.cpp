@@ -6,7 +6,6 @@
 
 #include "effigy/people/noise.h"
 #include "effigy/people/smooth.h"
-#include "effigy/people/solids.h"
 
 namespace effigy::people {
 namespace {
@@ -284,25 +283,21 @@ double BodyForm::torso_skin(const Vec3d& p) const {
   const double s = b.shoulders;
   double d = torso_.distance(p);
   // Trapezius and shoulder girdle, shoulder blade, collar bone.
-  d = join(d, capsule_distance(p, at(14, 1438, -50), at(126 * s, 1386, -42), 35 * k, 21 * k),
-           40 * k);
-  d = join(d, capsule_distance(p, at(104 * s, 1380, -38), at(160 * s, 1364, -32), 22 * k, 33 * k),
-           36 * k);
-  d = join(d, ellipsoid_distance(p, at(92 * s, 1300, -96), Vec3d(52, 70, 26) * k), 40 * k);
-  d = join(d, capsule_distance(p, at(26, 1374, 34), at(148 * s, 1384, -4), 9 * k, 10 * k), 22 * k);
+  d = join(d, limb(p, at(14, 1438, -50), at(126 * s, 1386, -42), 35 * k, 21 * k), 40 * k);
+  d = join(d, limb(p, at(104 * s, 1380, -38), at(160 * s, 1364, -32), 22 * k, 33 * k), 36 * k);
+  d = join(d, ellipsoid(p, at(92 * s, 1300, -96), Vec3d(52, 70, 26) * k), 40 * k);
+  d = join(d, limb(p, at(26, 1374, 34), at(148 * s, 1384, -4), 9 * k, 10 * k), 22 * k);
   // Chest muscle, or breast.
-  d = join(d, ellipsoid_distance(p, at(76, 1284, 62), Vec3d(80, 54, 23 + 8 * b.muscle) * k),
-           42 * k);
+  d = join(d, ellipsoid(p, at(76, 1284, 62), Vec3d(80, 54, 23 + 8 * b.muscle) * k), 42 * k);
   if (b.breast > 1)
-    d = join(d,
-             ellipsoid_distance(p, at(78, 1248, 66 + 0.45 * b.breast),
-                                Vec3d(62, 60, 26 + 0.75 * b.breast) * k),
-             30 * k);
+    d = join(
+        d,
+        ellipsoid(p, at(78, 1248, 66 + 0.45 * b.breast), Vec3d(62, 60, 26 + 0.75 * b.breast) * k),
+        30 * k);
   // Latissimus, buttock, hip.
-  d = join(d, ellipsoid_distance(p, at(124 * s, 1240, -52), Vec3d(40, 104, 44) * k), 40 * k);
-  d = join(
-      d, ellipsoid_distance(p, at(70 * b.hips, 872, -58), Vec3d(74 * b.hips, 80, 68 * b.hips) * k),
-      34 * k);
+  d = join(d, ellipsoid(p, at(124 * s, 1240, -52), Vec3d(40, 104, 44) * k), 40 * k);
+  d = join(d, ellipsoid(p, at(70 * b.hips, 872, -58), Vec3d(74 * b.hips, 80, 68 * b.hips) * k),
+           34 * k);
   return d;
 }
 
@@ -324,13 +319,11 @@ double BodyForm::arm_skin(const Vec3d& p) const {
   // Deltoid over the shoulder joint.
   const Vec3d& a = joints_.upper_arm;
   const Vec3d deltoid = a + k * Vec3d(14, -22, 2);
-  d = join(d, ellipsoid_distance(p, deltoid, Vec3d(38, 54, 47) * k * (0.6 + 0.4 * build_.muscle)),
-           34 * k);
+  d = join(d, ellipsoid(p, deltoid, Vec3d(38, 54, 47) * k * (0.6 + 0.4 * build_.muscle)), 34 * k);
   d = join(d, lower_arm_.distance(p), 22 * k);
   // Point of the elbow.
-  return join(
-      d, ellipsoid_distance(p, joints_.lower_arm + Vec3d(8, -4, -26) * k, Vec3d(17, 19, 15) * k),
-      16 * k);
+  return join(d, ellipsoid(p, joints_.lower_arm + Vec3d(8, -4, -26) * k, Vec3d(17, 19, 15) * k),
+              16 * k);
 }
 
 double BodyForm::hand_skin(const Vec3d& p) const {
@@ -341,8 +334,8 @@ double BodyForm::hand_skin(const Vec3d& p) const {
     return Vec3d(j.hand + h * (a * f + b * j.thumb_side + c * j.palm_normal));
   };
   double palm = palm_.distance(p);
-  palm = join(palm, capsule_distance(p, at(18, 20, 8), at(56, 34, 12), 17 * h, 13 * h), 12 * h);
-  palm = join(palm, capsule_distance(p, at(20, -24, 8), at(70, -30, 5), 14 * h, 10 * h), 14 * h);
+  palm = join(palm, limb(p, at(18, 20, 8), at(56, 34, 12), 17 * h, 13 * h), 12 * h);
+  palm = join(palm, limb(p, at(20, -24, 8), at(70, -30, 5), 14 * h, 10 * h), 14 * h);
   static constexpr std::array<std::array<double, 4>, 5> kRadius = {{{14.5, 11.6, 10.6, 8.2},
                                                                     {10.2, 9.0, 8.2, 6.4},
                                                                     {10.4, 9.2, 8.4, 6.6},
@@ -357,7 +350,7 @@ double BodyForm::hand_skin(const Vec3d& p) const {
       // The last capsule ends where its cap reaches the tip.
       Vec3d end = joint[b + 1];
       if (b == 2) end -= (joint[3] - joint[2]).normalized() * r[3] * h;
-      finger = join(finger, capsule_distance(p, joint[b], end, r[b] * h, r[b + 1] * h), 3.0 * h);
+      finger = join(finger, limb(p, joint[b], end, r[b] * h, r[b + 1] * h), 3.0 * h);
     }
     d = std::min(d, join(palm, finger, (i == 0 ? 14 : 7) * h));
   }
@@ -368,9 +361,8 @@ double BodyForm::leg_skin(const Vec3d& p) const {
   const double k = build_.stature * build_.limbs;
   double d = join(thigh_.distance(p), shank_.distance(p), 26 * k);
   // Kneecap.
-  return join(
-      d, ellipsoid_distance(p, joints_.lower_leg + Vec3d(-2, 8, 38) * k, Vec3d(26, 30, 20) * k),
-      22 * k);
+  return join(d, ellipsoid(p, joints_.lower_leg + Vec3d(-2, 8, 38) * k, Vec3d(26, 30, 20) * k),
+              22 * k);
 }
 
 double BodyForm::along_arm(const Vec3d& point) const {

@@ -31,10 +31,14 @@ inline double limb(const Vec3d& p, const Vec3d& a, const Vec3d& b, double ra, do
   const double t = std::clamp((p - a).dot(ab) / ab.squaredNorm(), 0.0, 1.0);
   return (p - a - t * ab).norm() - (ra + t * (rb - ra));
 }
-// Smooth union, blending over about k millimetres.
+// Smooth union, blending over about k.
 inline double join(double a, double b, double k) {
   const double h = std::max(k - std::abs(a - b), 0.0) / k;
   return std::min(a, b) - h * h * k * 0.25;
+}
+// Smooth intersection.
+inline double meet(double a, double b, double k) {
+  return -join(-a, -b, k);
 }
 // Smooth difference a - b.
 inline double carve(double a, double b, double k) {
