@@ -120,7 +120,7 @@ TEST(Gltf, RefusesBrokenFilesInOneSentence) {
   EXPECT_NE(with("\"joints\":[2,1]", "\"joints\":[2]").find("joint"), std::string::npos);
   EXPECT_NE(with("\"count\":4,\"type\":\"VEC3\"", "\"count\":400,\"type\":\"VEC3\""), "");
   EXPECT_NE(with("\"count\":4,\"type\":\"VEC3\"", "\"count\":4000000000,\"type\":\"VEC3\""), "");
-  EXPECT_NE(with("\"byteOffset\":160", "\"byteOffset\":100").find("index"), std::string::npos);
+  EXPECT_NE(with("\"byteOffset\":160", "\"byteOffset\":96").find("index"), std::string::npos);
   EXPECT_NE(with("\"bufferView\":0,\"componentType\":5126,\"count\":4,\"type\":\"VEC3\"",
                  "\"bufferView\":9,\"componentType\":5126,\"count\":4,\"type\":\"VEC3\""),
             "");
@@ -136,7 +136,8 @@ TEST(Gltf, ReadsAClothedPerson) {
   const Path path = Path(data ? data : "") / "body/morse_human/morse_makehuman_human.glb";
   if (!data || !std::filesystem::exists(path)) GTEST_SKIP() << "needs EFFIGY_DATA/body/morse_human";
   const UserBody body = read_gltf_body(path, 256);
-  EXPECT_EQ(body.rig.joint_count(), 77);
+  // The file's skin has 77 joints with two roots; a rig has one.
+  EXPECT_EQ(body.rig.joint_count(), 78);
   EXPECT_GT(body.rig.mesh.triangle_count(), 5000);
   float low = 9, high = -9;
   for (int v = 0; v < body.rig.mesh.vertex_count(); ++v) {

@@ -6,7 +6,7 @@
 #include <map>
 #include <queue>
 
-#include "effigy/geometry/topology.h"
+#include "effigy/base/threads.h"
 #include "effigy/people/body_mesh.h"
 #include "effigy/people/unwrap.h"
 
@@ -57,12 +57,12 @@ class Charter {
     for (size_t t = 0; t < chart_.size(); ++t) chart_[t] = chart_of(t);
     for (int round = 0; round < 4; ++round) smooth();
     for (int round = 0; round < 3; ++round) merge_small();
-    ChartedSurface out = flatten_all();
-    for (int round = 0; round < 12 && give_away_overlaps(out, round >= 3); ++round) {
+    flatten_changed();
+    for (int round = 0; round < 12 && give_away_overlaps(round >= 3); ++round) {
       for (int pass = 0; pass < 2; ++pass) merge_small();
-      out = flatten_all();
+      flatten_changed();
     }
-    return out;
+    return joined();
   }
 
  private:
@@ -207,35 +207,14 @@ class Charter {
 
   // Hands triangles at a chart's rim that overlap others over to the chart next door; `cut_out`:
   // makes charts of their own of them. False when there are none.
-  bool give_away_overlaps(const ChartedSurface& flat, bool cut_out) {
-    std::vector<int> chart_of_uv(flat.uvs.size(), 0);
-    for (size_t t = 0; t < chart_.size(); ++t)
-      for (int k = 0; k < 3; ++k) chart_of_uv[flat.uv_triangles[t][k]] = chart_[t];
-    std::map<int, std::pair<Vec2d, Vec2d>> bounds;
-    for (size_t i = 0; i < flat.uvs.size(); ++i) {
-      const auto [found, fresh] = bounds.try_emplace(chart_of_uv[i], flat.uvs[i], flat.uvs[i]);
-      if (fresh) continue;
-      found->second.first = found->second.first.cwiseMin(flat.uvs[i]);
-      found->second.second = found->second.second.cwiseMax(flat.uvs[i]);
-    }
+  bool give_away_overlaps(bool cut_out) {
     std::vector<char> bad(chart_.size(), 0);
     bool any = false;
-    for (const auto& [chart, box] : bounds) {
-      std::vector<Vec2f> uvs;
-      std::vector<Vec3i> triangles;
-      std::vector<size_t> members;
-      const double extent = (box.second - box.first).maxCoeff() * 1.02;
-      for (const Vec2d& uv : flat.uvs) uvs.push_back(((uv - box.first) / extent).cast<float>());
-      for (size_t t = 0; t < chart_.size(); ++t)
-        if (chart_[t] == chart) {
-          members.push_back(t);
-          triangles.push_back(flat.uv_triangles[t]);
-        }
-      for (const size_t i : overlapping_triangles(uvs, triangles)) {
-        bad[members[i]] = 1;
+    for (const auto& [chart, sheet] : sheets_)
+      for (const size_t t : sheet.overlapping) {
+        bad[t] = 1;
         any = true;
       }
-    }
     if (!any) return false;
     if (cut_out) {
       for (size_t t = 0; t < chart_.size(); ++t)
@@ -260,63 +239,92 @@ class Charter {
     return true;
   }
 
-  // Triangles that run clockwise, or share a sample point with another.
-  static std::vector<size_t> overlapping_triangles(const std::vector<Vec2f>& uvs,
-                                                   const std::vector<Vec3i>& triangles) {
+  // A chart laid flat, millimetres.
+  struct Sheet {
+    std::vector<size_t> members;  // triangles of the surface
+    std::vector<Vec2d> uvs;
+    std::vector<Vec3i> triangles;     // per member, indices into uvs
+    std::vector<size_t> overlapping;  // members that run clockwise or share a sample point
+  };
+
+  static void find_overlapping(Sheet& sheet) {
     constexpr int kSide = 1024;
-    std::vector<int> owner(static_cast<size_t>(kSide) * kSide, -1);
-    std::vector<char> bad(triangles.size(), 0);
-    for (size_t t = 0; t < triangles.size(); ++t) {
+    Vec2d low = Vec2d::Constant(1e300), high = -low;
+    for (const Vec2d& uv : sheet.uvs) {
+      low = low.cwiseMin(uv);
+      high = high.cwiseMax(uv);
+    }
+    const double scale = kSide / ((high - low).maxCoeff() * 1.02);
+    const int width = std::min(kSide, static_cast<int>(scale * (high - low).x()) + 1);
+    std::vector<int> owner(static_cast<size_t>(width) * kSide, -1);
+    std::vector<char> bad(sheet.triangles.size(), 0);
+    const auto cross = [](const Vec2d& a, const Vec2d& b) { return a.x() * b.y() - a.y() * b.x(); };
+    for (size_t t = 0; t < sheet.triangles.size(); ++t) {
       Vec2d q[3];
-      for (int k = 0; k < 3; ++k) q[k] = kSide * uvs[triangles[t][k]].cast<double>();
-      const auto cross = [](const Vec2d& a, const Vec2d& b) {
-        return a.x() * b.y() - a.y() * b.x();
-      };
+      for (int k = 0; k < 3; ++k) q[k] = scale * (sheet.uvs[sheet.triangles[t][k]] - low);
       if (cross(q[1] - q[0], q[2] - q[0]) <= 1e-9) bad[t] = 1;
-      const Vec2d low = q[0].cwiseMin(q[1]).cwiseMin(q[2]),
-                  high = q[0].cwiseMax(q[1]).cwiseMax(q[2]);
-      for (int y = static_cast<int>(low.y()); y <= static_cast<int>(high.y()) && y < kSide; ++y)
-        for (int x = static_cast<int>(low.x()); x <= static_cast<int>(high.x()) && x < kSide; ++x) {
+      const Vec2d first = q[0].cwiseMin(q[1]).cwiseMin(q[2]),
+                  last = q[0].cwiseMax(q[1]).cwiseMax(q[2]);
+      for (int y = static_cast<int>(first.y()); y <= static_cast<int>(last.y()) && y < kSide; ++y)
+        for (int x = static_cast<int>(first.x()); x <= static_cast<int>(last.x()) && x < width;
+             ++x) {
           const Vec2d p(x + 0.5, y + 0.5);
           bool inside = true;
           for (int k = 0; k < 3; ++k)
             inside = inside && cross(q[(k + 1) % 3] - q[k], p - q[k]) > 1e-9;
           if (!inside) continue;
-          int& o = owner[static_cast<size_t>(y) * kSide + static_cast<size_t>(x)];
+          int& o = owner[static_cast<size_t>(y) * static_cast<size_t>(width) + x];
           if (o >= 0) bad[static_cast<size_t>(o)] = bad[t] = 1;
           o = static_cast<int>(t);
         }
     }
-    std::vector<size_t> out;
     for (size_t t = 0; t < bad.size(); ++t)
-      if (bad[t]) out.push_back(t);
-    return out;
+      if (bad[t]) sheet.overlapping.push_back(sheet.members[t]);
   }
 
-  ChartedSurface flatten_all() const {
+  void lay_flat(Sheet& sheet) const {
+    std::map<int, int> local;
+    std::vector<Vec3d> points;
+    for (const size_t t : sheet.members) {
+      Vec3i mapped;
+      for (int k = 0; k < 3; ++k) {
+        const auto [found, fresh] =
+            local.try_emplace(surface_.triangles[t][k], static_cast<int>(points.size()));
+        if (fresh) points.push_back(surface_.points[surface_.triangles[t][k]]);
+        mapped[k] = found->second;
+      }
+      sheet.triangles.push_back(mapped);
+    }
+    sheet.uvs = upright(points, flatten(points, sheet.triangles));
+    find_overlapping(sheet);
+  }
+
+  // Lays out the charts that have changed.
+  void flatten_changed() {
+    std::map<int, Sheet> next;
+    for (size_t t = 0; t < chart_.size(); ++t) next[chart_[t]].members.push_back(t);
+    std::vector<Sheet*> changed;
+    for (auto& [chart, sheet] : next) {
+      const auto before = sheets_.find(chart);
+      if (before != sheets_.end() && before->second.members == sheet.members)
+        sheet = std::move(before->second);
+      else
+        changed.push_back(&sheet);
+    }
+    parallel_for(changed.size(), 1, [&](size_t begin, size_t end, int) {
+      for (size_t i = begin; i < end; ++i) lay_flat(*changed[i]);
+    });
+    sheets_ = std::move(next);
+  }
+
+  ChartedSurface joined() const {
     ChartedSurface out;
     out.uv_triangles.resize(chart_.size());
-    std::map<int, std::vector<size_t>> by_chart;
-    for (size_t t = 0; t < chart_.size(); ++t) by_chart[chart_[t]].push_back(t);
-    for (const auto& [chart, members] : by_chart) {
-      std::map<int, int> local;
-      std::vector<Vec3d> points;
-      std::vector<Vec3i> triangles;
-      for (const size_t t : members) {
-        Vec3i mapped;
-        for (int k = 0; k < 3; ++k) {
-          const auto [found, fresh] =
-              local.try_emplace(surface_.triangles[t][k], static_cast<int>(points.size()));
-          if (fresh) points.push_back(surface_.points[surface_.triangles[t][k]]);
-          mapped[k] = found->second;
-        }
-        triangles.push_back(mapped);
-      }
-      const std::vector<Vec2d> flat = upright(points, flatten(points, triangles));
+    for (const auto& [chart, sheet] : sheets_) {
       const int first = static_cast<int>(out.uvs.size());
-      out.uvs.insert(out.uvs.end(), flat.begin(), flat.end());
-      for (size_t i = 0; i < members.size(); ++i)
-        out.uv_triangles[members[i]] = triangles[i] + Vec3i::Constant(first);
+      out.uvs.insert(out.uvs.end(), sheet.uvs.begin(), sheet.uvs.end());
+      for (size_t i = 0; i < sheet.members.size(); ++i)
+        out.uv_triangles[sheet.members[i]] = sheet.triangles[i] + Vec3i::Constant(first);
     }
     return out;
   }
@@ -347,6 +355,7 @@ class Charter {
   static constexpr int kOwnChart = 1000;  // and above: a single triangle
   std::vector<int> chart_;
   std::vector<Vec3i> neighbour_;
+  std::map<int, Sheet> sheets_;
   double crotch_ = 0;
 };
 

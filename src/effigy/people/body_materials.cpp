@@ -10,7 +10,7 @@
 #include "effigy/people/body_paint.h"
 #include "effigy/people/builtin_body.h"
 #include "effigy/people/builtin_head.h"
-#include "effigy/people/texel_map.h"
+#include "effigy/people/gutter.h"
 
 namespace effigy {
 namespace {
@@ -18,7 +18,6 @@ namespace {
 using people::BodyModel;
 using people::BodyPaint;
 using people::BodyPlace;
-using people::TexelMap;
 
 class BodyPainter {
  public:
@@ -26,8 +25,8 @@ class BodyPainter {
       : body_(body),
         model_(*body.model),
         mesh_(body.rig.mesh),
-        map_(people::map_texels(mesh_, size)),
-        head_(builtin_head_materials(std::max(256, size * 3 / 4))),
+        map_(texel_map(mesh_, size)),
+        head_(builtin_head_materials(std::max(256, size * 3 / 4), body.subject)),
         normals_(vertex_normals(mesh_.vertices, mesh_.triangles)),
         paint_(map_.triangle.size()),
         bump_(map_.triangle.size(), Vec3d(0, 0, 1)) {}
@@ -47,22 +46,31 @@ class BodyPainter {
     parallel_for(static_cast<size_t>(map_.size), 8, [&](size_t begin, size_t end, int) {
       for (int y = static_cast<int>(begin); y < static_cast<int>(end); ++y)
         for (int x = 0; x < map_.size; ++x)
-          if (map_.triangle[map_.at(x, y)] >= 0) visit(x, y, map_.at(x, y));
+          if (map_.triangle[texel(x, y)] >= 0) visit(x, y, texel(x, y));
     });
+  }
+  size_t texel(int x, int y) const {
+    return static_cast<size_t>(y) * static_cast<size_t>(map_.size) + static_cast<size_t>(x);
+  }
+  // Of the triangle's corners.
+  Vec3f weights(size_t i) const {
+    const float b1 = map_.barycentric[2 * i], b2 = map_.barycentric[2 * i + 1];
+    return {1 - b1 - b2, b1, b2};
   }
   bool of_head(int triangle) const { return triangle < model_.mesh.head_triangles; }
 
   Vec3d place(size_t i) const {
     const Vec3i& t = mesh_.triangles[static_cast<size_t>(map_.triangle[i])];
     Vec3f p = Vec3f::Zero();
-    for (int k = 0; k < 3; ++k) p += map_.barycentric[i][k] * mesh_.vertex(t[k]);
+    const Vec3f b = weights(i);
+    for (int k = 0; k < 3; ++k) p += b[k] * mesh_.vertex(t[k]);
     return 1e3 * p.cast<double>();
   }
   // Millimetres to the neighbouring texel of the same piece; 0 when there is none.
   double step(int x, int y, int dx, int dy) const {
     const int nx = x + dx, ny = y + dy;
     if (nx < 0 || ny < 0 || nx >= map_.size || ny >= map_.size) return 0;
-    const size_t a = map_.at(x, y), b = map_.at(nx, ny);
+    const size_t a = texel(x, y), b = texel(nx, ny);
     if (map_.triangle[b] < 0 || of_head(map_.triangle[a]) != of_head(map_.triangle[b])) return 0;
     const double length = (place(a) - place(b)).norm();
     return length < 12000.0 / map_.size ? length : 0;
@@ -88,9 +96,9 @@ class BodyPainter {
 
   Vec2f head_uv(size_t i) const {
     const Vec3i& t = mesh_.uv_triangles[static_cast<size_t>(map_.triangle[i])];
+    const Vec3f b = weights(i);
     Vec2f uv = Vec2f::Zero();
-    for (int k = 0; k < 3; ++k)
-      uv += map_.barycentric[i][k] * model_.mesh.head_uvs[static_cast<size_t>(t[k])];
+    for (int k = 0; k < 3; ++k) uv += b[k] * model_.mesh.head_uvs[static_cast<size_t>(t[k])];
     return uv;
   }
   void sample_head(const Image& image, size_t i, float* out) const {
@@ -108,9 +116,9 @@ class BodyPainter {
     BodyPlace at;
     at.p = place(i);
     const Vec3i& t = mesh_.triangles[static_cast<size_t>(f)];
+    const Vec3f b = weights(i);
     Vec3f n = Vec3f::Zero();
-    for (int k = 0; k < 3; ++k)
-      n += map_.barycentric[i][k] * Vec3f(normals_.data() + 3 * static_cast<size_t>(t[k]));
+    for (int k = 0; k < 3; ++k) n += b[k] * Vec3f(normals_.data() + 3 * static_cast<size_t>(t[k]));
     at.normal = n.cast<double>().normalized();
     at.texel = std::max({step(x, y, 1, 0), step(x, y, 0, 1), 200.0 / map_.size});
     paint_[i] = people::paint_body(model_, skin_, at);
@@ -150,7 +158,7 @@ class BodyPainter {
     const auto slope = [&](int dx, int dy) {
       const double ahead = step(x, y, dx, dy), behind = step(x, y, -dx, -dy);
       if (ahead == 0 || behind == 0) return 0.0;
-      return (paint_[map_.at(x + dx, y + dy)].height - paint_[map_.at(x - dx, y - dy)].height) /
+      return (paint_[texel(x + dx, y + dy)].height - paint_[texel(x - dx, y - dy)].height) /
              std::max(ahead + behind, 0.2);
     };
     return Vec3d(-std::clamp(slope(1, 0), -0.8, 0.8), -std::clamp(slope(0, -1), -0.8, 0.8), 1)

@@ -45,38 +45,58 @@ double edge_size(const BodyForm& form, const Vec3d& p) {
   return std::min(size, mix(6.0, 12.5, smooth_step(4, 40, edge)));
 }
 
-// Gives sheets that touch along an edge or in a point their own points, so that every edge belongs
-// to two triangles: at an edge of four, those that face the same way most belong together.
-void separate_sheets(Surface& surface) {
-  std::map<std::pair<int, int>, std::vector<int>> corners;  // 3 triangle + k of each directed edge
-  auto& triangles = surface.triangles;
-  for (size_t t = 0; t < triangles.size(); ++t)
-    for (int k = 0; k < 3; ++k)
-      corners[{triangles[t][k], triangles[t][(k + 1) % 3]}].push_back(static_cast<int>(3 * t) + k);
+// Corner 3 t + k stands for the edge of triangle t from its corner k on.
+std::pair<int, int> directed_edge(const Surface& surface, int corner) {
+  const Vec3i& c = surface.triangles[static_cast<size_t>(corner / 3)];
+  return {c[corner % 3], c[(corner % 3 + 1) % 3]};
+}
+
+// The corners of each edge, as runs of equal keys.
+std::vector<std::pair<uint64_t, int>> sorted_edges(const Surface& surface) {
+  std::vector<std::pair<uint64_t, int>> edges;
+  for (int c = 0; c < 3 * static_cast<int>(surface.triangles.size()); ++c) {
+    const auto [a, b] = directed_edge(surface, c);
+    edges.emplace_back(static_cast<uint64_t>(std::min(a, b)) << 32 | std::max(a, b), c);
+  }
+  std::sort(edges.begin(), edges.end());
+  return edges;
+}
+
+// The corner across each edge, -1 at the rim; at an edge of four triangles those that face the
+// same way most belong together.
+std::vector<int> edge_twins(const Surface& surface,
+                            const std::vector<std::pair<uint64_t, int>>& edges) {
   const auto normal = [&](int corner) {
-    const Vec3i& c = triangles[static_cast<size_t>(corner / 3)];
+    const Vec3i& c = surface.triangles[static_cast<size_t>(corner / 3)];
     return (surface.points[c[1]] - surface.points[c[0]])
         .cross(surface.points[c[2]] - surface.points[c[0]])
         .normalized();
   };
-  std::vector<int> twin(3 * triangles.size(), -1);
-  for (auto& [edge, list] : corners) {
-    if (edge.first > edge.second) continue;
-    auto other = corners.find({edge.second, edge.first});
-    if (other == corners.end()) continue;
-    for (const int c : list) {
+  std::vector<int> twin(edges.size(), -1);
+  for (size_t first = 0, last; first < edges.size(); first = last) {
+    for (last = first; last < edges.size() && edges[last].first == edges[first].first;) ++last;
+    for (size_t i = first; i < last; ++i) {
+      const int c = edges[i].second;
+      if (twin[c] >= 0) continue;
       int best = -1;
-      for (const int d : other->second)
-        if (twin[d] < 0 && (best < 0 || normal(c).dot(normal(d)) > normal(c).dot(normal(best))))
-          best = d;
+      for (size_t j = i + 1; j < last; ++j) {
+        const int d = edges[j].second;
+        if (twin[d] >= 0 || directed_edge(surface, d).first == directed_edge(surface, c).first)
+          continue;
+        if (best < 0 || normal(c).dot(normal(d)) > normal(c).dot(normal(best))) best = d;
+      }
       if (best < 0) continue;
       twin[c] = best;
       twin[best] = c;
     }
   }
-  // One point for each fan of triangles.
-  std::vector<char> used(surface.points.size(), 0), done(3 * triangles.size(), 0);
-  const std::vector<Vec3i> before = triangles;
+  return twin;
+}
+
+// One point for each fan of triangles.
+void separate_fans(Surface& surface, const std::vector<int>& twin) {
+  std::vector<char> used(surface.points.size(), 0), done(twin.size(), 0);
+  const std::vector<Vec3i> before = surface.triangles;
   for (size_t start = 0; start < done.size(); ++start) {
     if (done[start]) continue;
     const int v = before[start / 3][static_cast<int>(start % 3)];
@@ -92,11 +112,47 @@ void separate_sheets(Surface& surface) {
       open.pop_back();
       if (done[c]) continue;
       done[c] = 1;
-      triangles[static_cast<size_t>(c / 3)][c % 3] = number;
+      surface.triangles[static_cast<size_t>(c / 3)][c % 3] = number;
       const int ahead = twin[c];  // its corner of the edge from v: the twin starts at the far end
       if (ahead >= 0) open.push_back(ahead / 3 * 3 + (ahead % 3 + 1) % 3);
       const int behind = twin[c / 3 * 3 + (c % 3 + 2) % 3];
       if (behind >= 0) open.push_back(behind);
+    }
+  }
+}
+
+// Puts a point on an edge of two triangles.
+void split_edge(Surface& surface, int corner, int twin) {
+  const auto [a, b] = directed_edge(surface, corner);
+  const int m = static_cast<int>(surface.points.size());
+  surface.points.push_back(0.5 * (surface.points[a] + surface.points[b]));
+  for (const int c : {corner, twin}) {
+    Vec3i& first = surface.triangles[static_cast<size_t>(c / 3)];
+    Vec3i second = first;
+    first[(c % 3 + 1) % 3] = m;
+    second[c % 3] = m;
+    surface.triangles.push_back(second);
+  }
+}
+
+// Gives sheets that touch along an edge or in a point their own points, so that every edge belongs
+// to two triangles. Where a sheet touches itself along an edge both ends of which it goes round in
+// one fan, that edge gets a point in the middle for each side.
+void separate_sheets(Surface& surface) {
+  for (bool whole = false; !whole;) {
+    whole = true;
+    const std::vector<int> twin = edge_twins(surface, sorted_edges(surface));
+    separate_fans(surface, twin);
+    const auto edges = sorted_edges(surface);
+    std::vector<char> touched(surface.triangles.size(), 0);
+    for (size_t first = 0, last; first < edges.size(); first = last) {
+      for (last = first; last < edges.size() && edges[last].first == edges[first].first;) ++last;
+      if (last - first <= 2) continue;
+      whole = false;
+      const int c = edges[first].second, d = twin[c];
+      if (d < 0 || touched[c / 3] || touched[d / 3]) continue;
+      touched[c / 3] = touched[d / 3] = 1;
+      split_edge(surface, c, d);
     }
   }
 }
@@ -108,15 +164,18 @@ Surface form_surface(const BodyForm& form, const std::vector<Vec3d>& ring) {
   for (const auto& finger : j.fingers)
     for (const Vec3d& p : finger) reach = std::max(reach, p.x());
   reach += 40;
-  const double cut = ring[0].y() - 8;
+  const double top = form.ring().highest() + 22;
   Surface whole = surface_nets([&](const Vec3d& p) { return form.distance(p); },
-                               Vec3d(-reach, -25, -230), Vec3d(reach, cut + 30, 240), kCell);
+                               Vec3d(-reach, -25, -230), Vec3d(reach, top, 240), kCell);
   separate_sheets(whole);
   // Without what lies above the cut, and without crumbs.
+  const auto below = [&](int v) {
+    const Vec3d& p = whole.points[static_cast<size_t>(v)];
+    return p.y() < form.ring().height_at(p) - 8;
+  };
   std::vector<Vec3i> kept;
   for (const Vec3i& t : whole.triangles)
-    if (std::max({whole.points[t[0]].y(), whole.points[t[1]].y(), whole.points[t[2]].y()}) < cut)
-      kept.push_back(t);
+    if (below(t[0]) && below(t[1]) && below(t[2])) kept.push_back(t);
   const auto piece = connected_pieces(kept, static_cast<int>(whole.points.size()));
   std::map<int, int> sizes;
   for (const Vec3i& t : kept) ++sizes[piece[t[0]]];
@@ -232,10 +291,14 @@ NeckRing neck_ring(const Rig& head, const Vec3d& offset) {
   const size_t n = head.neck_ring.size();
   for (size_t i = 0; i < n; ++i)
     ring.centre += ring_point(head, i, offset) / static_cast<double>(n);
-  std::vector<std::pair<double, double>> polar;
+  struct Polar {
+    double first, radius, height;
+    bool operator<(const Polar& other) const { return first < other.first; }
+  };
+  std::vector<Polar> polar;
   for (size_t i = 0; i < n; ++i) {
-    const Vec3d q = ring_point(head, i, offset) - ring.centre;
-    polar.emplace_back(std::atan2(q.x(), q.z()), std::hypot(q.x(), q.z()));
+    const Vec3d p = ring_point(head, i, offset), q = p - ring.centre;
+    polar.push_back({std::atan2(q.x(), q.z()), std::hypot(q.x(), q.z()), p.y()});
   }
   std::sort(polar.begin(), polar.end());
   constexpr int kSteps = 128;
@@ -247,9 +310,39 @@ NeckRing neck_ring(const Rig& head, const Vec3d& offset) {
     if (i == 0) before.first -= 2 * kPi;
     if (i == n) after.first += 2 * kPi;
     const double t = (angle - before.first) / std::max(after.first - before.first, 1e-9);
-    ring.radius.push_back(mix(before.second, after.second, t));
+    ring.radius.push_back(mix(before.radius, after.radius, t));
+    ring.height.push_back(mix(before.height, after.height, t));
   }
   return ring;
+}
+
+void raise_neck(Rig& head, const Vec3d& offset, const BodyForm& form) {
+  constexpr double kClear = 10, kMost = 60, kFade = 90;
+  const NeckRing& ring = form.ring();
+  const size_t n = ring.radius.size();
+  // How far above the ring the shoulders reach beside the neck, by angle.
+  std::vector<double> lift(n, 0);
+  for (size_t i = 0; i < n; ++i) {
+    const double angle = 2 * kPi * static_cast<double>(i) / static_cast<double>(n);
+    Vec3d p = ring.centre + (ring.radius[i] + 4) * Vec3d(std::sin(angle), 0, std::cos(angle));
+    // Upwards, as the neck above leans over this place.
+    for (p.y() -= kClear; lift[i] < kMost && form.distance(p) < 0; p.y() += 0.5) lift[i] += 0.5;
+  }
+  for (int pass = 0; pass < 12; ++pass) {
+    const std::vector<double> before = lift;
+    for (size_t i = 0; i < n; ++i)
+      lift[i] = std::max(0.25 * (before[(i + 1) % n] + before[(i + n - 1) % n]) + 0.5 * before[i],
+                         before[i] - 0.3);
+  }
+  NeckRing lifts = ring;
+  lifts.height = lift;
+  for (int v = 0; v < head.mesh.vertex_count(); ++v) {
+    const Vec3d p = 1e3 * head.mesh.vertex(v).cast<double>() + offset;
+    const double up = p.y() - ring.centre.y();
+    if (up > kFade) continue;
+    head.mesh.vertices[3 * static_cast<size_t>(v) + 1] +=
+        static_cast<float>(1e-3 * lifts.height_at(p) * smooth_step(kFade, 0, up));
+  }
 }
 
 BodyMesh build_body_mesh(const BodyForm& form, const Rig& head, const Vec3d& offset) {

@@ -38,6 +38,10 @@ struct BodyMesh {
 Vec3d head_offset(const BodyBuild& build);
 NeckRing neck_ring(const Rig& head, const Vec3d& offset);
 
+// Moves the ring and the neck above it up to where the shoulders of `form`, made with the ring as
+// it is, meet the neck.
+void raise_neck(Rig& head, const Vec3d& offset, const BodyForm& form);
+
 // Deterministic; a few seconds. Throws Error when the head has no neck ring.
 BodyMesh build_body_mesh(const BodyForm& form, const Rig& head, const Vec3d& offset);
 

@@ -38,13 +38,26 @@ double spline(const std::vector<double>& s, const std::vector<double>& value, do
 
 }  // namespace
 
-double NeckRing::at(double angle) const {
-  const double n = static_cast<double>(radius.size());
-  double x = angle / (2 * kPi) * n;
+namespace {
+
+double around(const NeckRing& ring, const std::vector<double>& values, const Vec3d& p) {
+  const double n = static_cast<double>(values.size());
+  double x = std::atan2(p.x() - ring.centre.x(), p.z() - ring.centre.z()) / (2 * kPi) * n;
   x -= n * std::floor(x / n);
-  const size_t i = static_cast<size_t>(x) % radius.size();
-  const double t = x - std::floor(x);
-  return mix(radius[i], radius[(i + 1) % radius.size()], t);
+  const size_t i = static_cast<size_t>(x) % values.size();
+  return mix(values[i], values[(i + 1) % values.size()], x - std::floor(x));
+}
+
+}  // namespace
+
+double NeckRing::radius_at(const Vec3d& p) const {
+  return around(*this, radius, p);
+}
+double NeckRing::height_at(const Vec3d& p) const {
+  return around(*this, height, p);
+}
+double NeckRing::highest() const {
+  return *std::max_element(height.begin(), height.end());
 }
 
 BodyForm::Tube BodyForm::tube(const Vec3d& a, const Vec3d& axis, const Vec3d& u,
@@ -90,7 +103,11 @@ double BodyForm::Tube::distance(const Vec3d& p, double grow) const {
   const double beyond = s < start ? (start - s) / cap0 : s > end ? (s - end) / cap1 : 0;
   const double nx = std::abs(x) / rx, ny = std::abs(y) / ry;
   double rho2 = nx * nx + ny * ny;
-  if (exponent != 2) rho2 = std::pow(std::pow(nx, exponent) + std::pow(ny, exponent), 2 / exponent);
+  if (exponent != 2) {
+    const double larger = std::max(nx, ny), share = std::min(nx, ny) / std::max(larger, 1e-12);
+    const double whole = larger * std::pow(1 + std::pow(share, exponent), 1 / exponent);
+    rho2 = whole * whole;
+  }
   const double rho = std::sqrt(rho2 + beyond * beyond);
   if (rho < 1e-6) return -std::min(rx, ry);
   const double outside = s < start ? start - s : s > end ? s - end : 0;
@@ -308,7 +325,7 @@ double BodyForm::neck_skin(const Vec3d& p) const {
   const Vec3d q = p - ring_.centre + Vec3d(0, 0, lean);
   const double r = std::hypot(q.x(), q.z());
   const double flare = 1 + 0.05 * smooth_step(0, 60, below);
-  const double wall = r - flare * ring_.at(std::atan2(q.x(), q.z()));
+  const double wall = r - flare * ring_.radius_at(ring_.centre + q);
   // Ends inside the chest.
   return meet(wall, below - 90, 30);
 }
@@ -395,7 +412,7 @@ double BodyForm::distance(const Vec3d& point) const {
   const double leg = bounded(std::max(p.x() - 230 * k, p.y() - j.upper_leg.y() - 110 * k),
                              [&] { return leg_skin(p); });
   // The neck alone shapes the place where the head joins.
-  const double below = ring_.centre.y() - p.y();
+  const double below = ring_.height_at(p) - p.y();
   const double soft = 1 + 42 * k * smooth_step(4, 60, below);
   const double trunk = join(neck, join(torso, arm, 38 * k), soft);
   double d = join(trunk, leg, 26 * k);

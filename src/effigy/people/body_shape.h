@@ -45,12 +45,14 @@ struct BodyJoints {
   Vec3d palm_normal, thumb_side;  // unit: out of the palm; towards the thumb
 };
 
-// Where the head's open neck ring lies in the body's frame: a horizontal curve, star-shaped about
-// `centre`; `radius` at equal steps of the angle from +z (front) towards +x.
+// Where the head's open neck ring lies in the body's frame: a curve around the vertical through
+// `centre`; radius and height (y) at equal steps of the angle from +z (front) towards +x.
 struct NeckRing {
   Vec3d centre = Vec3d::Zero();
-  std::vector<double> radius;
-  double at(double angle) const;
+  std::vector<double> radius, height;
+  double radius_at(const Vec3d& p) const;
+  double height_at(const Vec3d& p) const;
+  double highest() const;
 };
 
 class BodyForm {
@@ -58,6 +60,7 @@ class BodyForm {
   BodyForm(const BodyBuild& build, const Outfit& outfit, const NeckRing& ring);
 
   const BodyJoints& joints() const { return joints_; }
+  const NeckRing& ring() const { return ring_; }
   const BodyBuild& build() const { return build_; }
   const Outfit& outfit() const { return outfit_; }
 

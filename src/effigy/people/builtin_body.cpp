@@ -65,9 +65,11 @@ void add_twists(const Rig& rig, const std::vector<BodyBone>& bones, BodyModel& m
 }
 
 BuiltinBody make_body(uint64_t subject) {
-  const Rig head = builtin_head_rig();
+  Rig head = builtin_head_rig(subject);
   const people::BodyStyle style = people::body_style(subject);
   const Vec3d offset = people::head_offset(style.build);
+  people::raise_neck(head, offset,
+                     people::BodyForm(style.build, style.outfit, people::neck_ring(head, offset)));
   people::BodyForm form(style.build, style.outfit, people::neck_ring(head, offset));
   people::BodyMesh mesh = people::build_body_mesh(form, head, offset);
   const std::vector<BodyBone> bones = people::body_bones(form, head, offset);

@@ -12,6 +12,7 @@ namespace effigy::people {
 namespace {
 
 constexpr int kBlock = 12;  // cubes along the side of a block
+constexpr int kPatch = 3;   // corners along the side of what a block skips where it can
 
 struct Grid {
   Vec3d low;
@@ -32,17 +33,18 @@ struct BlockResult {
 
 class BlockMesher {
  public:
-  BlockMesher(const std::function<double(const Vec3d&)>& distance, const Grid& grid)
-      : distance_(distance), grid_(grid) {}
+  BlockMesher(const std::function<double(const Vec3d&)>& distance, const Grid& grid,
+              double steepness)
+      : distance_(distance),
+        grid_(grid),
+        reach_(steepness * grid.cell * (kPatch + 1) * std::sqrt(3.0) / 2) {}
 
   // Cubes of the block; quads around the edges that start at its corners.
   void run(const Vec3i& block, BlockResult& out) {
     origin_ = block * kBlock;
-    for (int z = 0; z < kSide; ++z)
-      for (int y = 0; y < kSide; ++y)
-        for (int x = 0; x < kSide; ++x)
-          value_[index(x, y, z)] = distance_(
-              grid_.corner(origin_.x() + x - 1, origin_.y() + y - 1, origin_.z() + z - 1));
+    for (int z = 0; z < kSide; z += kPatch)
+      for (int y = 0; y < kSide; y += kPatch)
+        for (int x = 0; x < kSide; x += kPatch) measure(x, y, z);
     for (int z = 1; z <= kBlock; ++z)
       for (int y = 1; y <= kBlock; ++y)
         for (int x = 1; x <= kBlock; ++x) {
@@ -55,6 +57,27 @@ class BlockMesher {
   static constexpr int kSide = kBlock + 2;  // one corner before the block, one after
   static int index(int x, int y, int z) { return (z * kSide + y) * kSide + x; }
   double at(int x, int y, int z) const { return value_[static_cast<size_t>(index(x, y, z))]; }
+
+  Vec3d corner(int x, int y, int z) const {
+    return grid_.corner(origin_.x() + x - 1, origin_.y() + y - 1, origin_.z() + z - 1);
+  }
+  // A patch of corners; where no edge from or to them can cross the surface only the side counts,
+  // which the middle has too.
+  void measure(int x0, int y0, int z0) {
+    const Vec3d half = Vec3d::Constant(0.5 * (kPatch - 1) * grid_.cell);
+    const double middle = distance_(corner(x0, y0, z0) + half);
+    const bool far = std::abs(middle) > reach_;
+    for (int z = z0; z < std::min(z0 + kPatch, kSide); ++z)
+      for (int y = y0; y < std::min(y0 + kPatch, kSide); ++y)
+        for (int x = x0; x < std::min(x0 + kPatch, kSide); ++x)
+          value_[static_cast<size_t>(index(x, y, z))] = far ? middle : distance_(corner(x, y, z));
+  }
+  bool crossed(int x, int y, int z) const {
+    const bool side = at(x, y, z) < 0;
+    for (int c = 1; c < 8; ++c)
+      if ((at(x + (c & 1), y + (c >> 1 & 1), z + (c >> 2)) < 0) != side) return true;
+    return false;
+  }
 
   // Edge 4 axis + (offset along the next axis) + 2 (offset along the one after).
   // The sheet of the surface that each crossed edge of a cube belongs to, -1 where it is not
@@ -105,6 +128,7 @@ class BlockMesher {
   }
 
   void cube(int x, int y, int z, BlockResult& out) const {
+    if (!crossed(x, y, z)) return;
     const Sheets sheet = sheets(x, y, z);
     const int gx = origin_.x() + x - 1, gy = origin_.y() + y - 1, gz = origin_.z() + z - 1;
     for (int s = 0; s < 12; ++s) {
@@ -150,6 +174,7 @@ class BlockMesher {
 
   const std::function<double(const Vec3d&)>& distance_;
   const Grid& grid_;
+  double reach_;
   Vec3i origin_ = Vec3i::Zero();
   std::array<double, static_cast<size_t>(kSide) * kSide * kSide> value_{};
 };
@@ -167,7 +192,7 @@ Surface surface_nets(const std::function<double(const Vec3d&)>& distance, const 
   std::vector<BlockResult> results(count);
   const double reach = steepness * cell * (kBlock + 2) * std::sqrt(3.0) / 2;
   parallel_for(count, 4, [&](size_t begin, size_t end, int) {
-    auto mesher = BlockMesher(distance, grid);
+    auto mesher = BlockMesher(distance, grid, steepness);
     for (size_t i = begin; i < end; ++i) {
       const Vec3i block(static_cast<int>(i % n.x()), static_cast<int>(i / n.x() % n.y()),
                         static_cast<int>(i / n.x() / n.y()));

@@ -8,7 +8,7 @@
 #include "effigy/image/colour.h"
 #include "effigy/image/resample.h"
 #include "effigy/people/body_rig.h"
-#include "effigy/people/texel_map.h"
+#include "effigy/people/gutter.h"
 #include "effigy/people/user_parts.h"
 
 namespace effigy::people {
@@ -70,7 +70,7 @@ void fill_weights(const UserSource& source, const std::vector<int>& number, Rig&
 // The pictures of all materials in the new atlas; `old_uv` by UV vertex of the packed mesh.
 void bake(const UserSource& source, const std::vector<Vec2f>& old_uv, int size, UserBody& body) {
   const Mesh& mesh = body.rig.mesh;
-  const TexelMap map = map_texels(mesh, size);
+  const TexelMap map = texel_map(mesh, size);
   const std::vector<int> from = nearest_shown(map);
   body.albedo = Image(size, size, 3);
   body.roughness = Image(size, size, 1, 0.6f);
@@ -83,9 +83,9 @@ void bake(const UserSource& source, const std::vector<Vec2f>& old_uv, int size, 
     const size_t f = static_cast<size_t>(map.triangle[s]);
     const size_t part = static_cast<size_t>(mesh.triangle_part[f]);
     const UserMaterial& material = source.materials[part];
-    Vec2f uv = Vec2f::Zero();
-    for (int k = 0; k < 3; ++k)
-      uv += map.barycentric[s][k] * old_uv[static_cast<size_t>(mesh.uv_triangles[f][k])];
+    const auto corner = [&](int k) { return old_uv[static_cast<size_t>(mesh.uv_triangles[f][k])]; };
+    const float b1 = map.barycentric[2 * s], b2 = map.barycentric[2 * s + 1];
+    const Vec2f uv = (1 - b1 - b2) * corner(0) + b1 * corner(1) + b2 * corner(2);
     Vec4f colour = material.colour;
     const Image& picture = pictures[part];
     if (!picture.empty()) {
