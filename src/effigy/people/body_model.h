@@ -48,12 +48,6 @@ struct BodyModel {
     int expression, joint, row, column;
   };
   std::vector<HeadShape> head_shapes;
-  struct Corrective {  // expression driven by the bend of a joint
-    int expression, joint;
-    Vec3d axis;
-    double from, full;  // radians about the axis at which it starts and is complete
-  };
-  std::vector<Corrective> correctives;
   struct Twist {  // helper joint that takes `share` of the driver's turn about `axis`
     int helper, driver;
     Vec3d axis;

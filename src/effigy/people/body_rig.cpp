@@ -171,9 +171,10 @@ Eigen::MatrixXd heat_weights(const std::vector<Vec3d>& points, const std::vector
         nearest = b;
       }
     }
-    // Heat enters over about the thickness of the limb.
+    // Heat enters over about the thickness of the limb: faster, the insides of knees and elbows fold
+    // over when they bend; slower, they lose their form.
     const double reach = bones[nearest].radius * std::clamp(best, 0.6, 2.0);
-    const double heat = area[static_cast<size_t>(i)] * 5.0 / (reach * reach);
+    const double heat = area[static_cast<size_t>(i)] * 2.0 / (reach * reach);
     entries.emplace_back(i, i, heat);
     rhs(i, static_cast<Eigen::Index>(nearest)) = heat;
   }

@@ -88,8 +88,8 @@ BuiltinBody make_body(uint64_t subject) {
   rig.weights = people::body_weights(mesh, head, bones);
   rig.multipie = head.multipie;  // the head's triangles come first
   rig.mediapipe = head.mediapipe;
-  auto model = std::make_shared<BodyModel>(
-      BodyModel{style, std::move(form), std::move(mesh), {}, {}, {}, {}});
+  auto model =
+      std::make_shared<BodyModel>(BodyModel{style, std::move(form), std::move(mesh), {}, {}, {}});
   add_expressions(head, rig, *model);
   rig.expression_count = static_cast<int>(rig.expression_names.size());
   add_twists(rig, bones, *model);
@@ -154,11 +154,6 @@ void drive_body_helpers(const BuiltinBody& body, RigPose& pose) {
     const Mat3d r = joint_turn(pose, h.joint).toRotationMatrix();
     pose.expression[static_cast<size_t>(h.expression)] =
         static_cast<float>(r(h.row, h.column) - (h.row == h.column ? 1 : 0));
-  }
-  for (const BodyModel::Corrective& c : model.correctives) {
-    const double bend = twist_angle(joint_turn(pose, c.joint), c.axis);
-    pose.expression[static_cast<size_t>(c.expression)] =
-        static_cast<float>(std::clamp((bend - c.from) / (c.full - c.from), 0.0, 1.3));
   }
 }
 

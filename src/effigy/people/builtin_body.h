@@ -63,7 +63,7 @@ BodyMaterials builtin_body_materials(const BuiltinBody& body, int size);
 // Label of each part of rig.mesh.parts.
 BodyLabel body_part_label(const std::string& part);
 
-// Sets the twist joints and the corrective shapes from the other joints. Call it last when making a
+// Sets the twist joints and the head's pose shapes from the other joints. Call it last when making a
 // pose; poses of body motions have it done.
 void drive_body_helpers(const BuiltinBody& body, RigPose& pose);
 
