@@ -8,6 +8,7 @@
 #include <numeric>
 
 #include "effigy/base/error.h"
+#include "effigy/people/smooth.h"
 
 namespace effigy::people {
 namespace {
@@ -171,8 +172,8 @@ Eigen::MatrixXd heat_weights(const std::vector<Vec3d>& points, const std::vector
         nearest = b;
       }
     }
-    // Heat enters over about the thickness of the limb: faster, the insides of knees and elbows fold
-    // over when they bend; slower, they lose their form.
+    // Heat enters over about the thickness of the limb: faster, the insides of knees and elbows
+    // fold over when they bend; slower, they lose their form.
     const double reach = bones[nearest].radius * std::clamp(best, 0.6, 2.0);
     const double heat = area[static_cast<size_t>(i)] * 2.0 / (reach * reach);
     entries.emplace_back(i, i, heat);
@@ -243,8 +244,13 @@ std::vector<float> body_weights(const BodyMesh& body, const Rig& head,
   std::vector<float> weights(count * joints);
   for (size_t v = 0; v < count; ++v) {
     Eigen::RowVectorXd row = rows.row(static_cast<Eigen::Index>(v)).cwiseMax(0.0);
-    for (Eigen::Index j = 0; j < row.size(); ++j)
+    const double x = 1e3 * static_cast<double>(body.mesh.vertex(static_cast<int>(v)).x());
+    for (Eigen::Index j = 0; j < row.size(); ++j) {
+      // A limb reaches a little beyond the middle.
+      const double own = bones[static_cast<size_t>(j)].joint.x();
+      if (std::abs(own) > 1) row[j] *= smooth_step(-120, -30, own > 0 ? x : -x);
       if (row[j] < 0.004) row[j] = 0;
+    }
     row /= row.sum();
     for (size_t j = 0; j < joints; ++j)
       weights[v * joints + j] = static_cast<float>(row[static_cast<Eigen::Index>(j)]);
