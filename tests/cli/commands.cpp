@@ -221,7 +221,7 @@ TEST(Commands, StudyScoresItsCellsOnce) {
             0);
   const std::string study = "study relight " + capture + " -o " + out +
                             " --iterations 12 --surfels 200 --texture-size 64 --frames 1 --json";
-  const std::string cells = " --cell 'without mask loss' --cell 'without light prior'";
+  const std::string cells = " --cell 'without mask loss' --cell 'without start light'";
   const Outcome first = run(study + cells);
   ASSERT_EQ(first.code, 0) << first.err;
   const Json table = Json::parse(first.out)["cells"];
@@ -232,7 +232,7 @@ TEST(Commands, StudyScoresItsCellsOnce) {
     EXPECT_GT(cell["metrics"]["relight"]["window"]["psnr_aligned"].get<double>(), 3.0);
     EXPECT_GT(cell["metrics"]["psnr"].get<double>(), 3.0);
   }
-  EXPECT_TRUE(contains(read_text(scratch / "study" / "report.html"), "without light prior"));
+  EXPECT_TRUE(contains(read_text(scratch / "study" / "report.html"), "without start light"));
 
   // What was scored is not trained again: a mark in a cell's record comes back.
   const Path record = scratch / "study" / "cells" / "without-mask-loss" / "cell.json";

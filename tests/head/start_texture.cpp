@@ -13,6 +13,7 @@ TrainSettings tiny_settings(bool start) {
   settings.surfels = 400;
   settings.texture_size = 64;
   settings.start_from_frames = start;
+  settings.start_light = false;  // the picture is flat: no light explains it
   return settings;
 }
 

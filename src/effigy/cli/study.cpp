@@ -38,8 +38,8 @@ std::vector<Cell> relight_cells() {
   without("rig regulariser", {{"weight.rig", 0.0}});
   without("expression loss", {{"weight.expression", 0.0}});
   without("material prior", {{"weight.material_prior", 0.0}});
-  without("light prior", {{"weight.environment", 0.0}});
   without("albedo prior", {{"weight.albedo_prior", 0.0}});
+  without("start light", {{"start_light", false}});
   without("start from frames", {{"start_from_frames", false}});
   without("rig refinement", {{"refine_rig", false}});
   without("pose refinement", {{"refine_pose", false}, {"refine_expression", false}});

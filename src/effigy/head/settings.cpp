@@ -44,7 +44,6 @@ void visit_settings(Settings& s, Visit&& visit) {
   visit("weight.rig", s.weights.rig);
   visit("weight.expression", s.weights.expression);
   visit("weight.material_prior", s.weights.material_prior);
-  visit("weight.environment", s.weights.environment);
   visit("uv_distortion", s.uv_distortion);
   visit("uv_distortion_start", s.uv_distortion_start);
   visit("uv_distortion_threshold", s.uv_distortion_threshold);
@@ -55,6 +54,7 @@ void visit_settings(Settings& s, Visit&& visit) {
   visit("jacobian_to_vertices", s.jacobian_to_vertices);
   visit("fit_silhouette", s.fit_silhouette);
   visit("start_from_frames", s.start_from_frames);
+  visit("start_light", s.start_light);
   visit("refine_expression", s.refine_expression);
   visit("refine_pose", s.refine_pose);
   visit("hold_mean_pose", s.hold_mean_pose);
@@ -126,13 +126,14 @@ void TrainSettings::make_paper_literal() {
   refine_pose = false;
   fit_silhouette = false;
   start_from_frames = false;
+  start_light = false;
   restore_unseen = false;
   hold_mean_pose = false;
   local_rig = false;
   final_rate_factor = 1;
   set_paper_rig(*this);
-  weights.environment = 0;
   weights.material_prior = 0;
+  rates.environment = 2e-2;
 }
 
 Json to_json(const TrainSettings& settings) {

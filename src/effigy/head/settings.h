@@ -17,7 +17,7 @@ struct LearningRates {
   double opacity = 5e-2;       // logit
   double material = 5e-3;      // texture logits
   double normal = 1e-3;        // texture atanh
-  double environment = 2e-2;   // log radiance
+  double environment = 5e-2;   // log radiance (Table 3a: 2e-2)
   // The rig's (the paper's 1e-5, 1e-4 and 1e-6 are for runs five to fifteen times as long).
   double template_vertices = 3e-4;  // metres
   double weights = 2e-3;
@@ -41,7 +41,6 @@ struct LossWeights {
   double rig = 0.001;
   double expression = 0.01;
   double material_prior = 0.05;  // roughness towards 0.5, F0 towards 0.05 (squared)
-  double environment = 0.01;     // variance of the log radiance over directions and channels
 };
 
 struct TrainSettings {
@@ -62,6 +61,7 @@ struct TrainSettings {
   bool jacobian_to_vertices = false;
   bool fit_silhouette = true;     // start at the mattes' outline (head/silhouette.h)
   bool start_from_frames = true;  // start albedo and light from the frames (head/start_texture.h)
+  bool start_light = true;        // and that light from how brightness goes with the normal
   bool refine_expression = true;  // per training frame
   bool refine_pose = true;        // per training frame (rotation, neck, eyes, translation)
   bool hold_mean_pose = true;     // what all frames' refinements share is taken back each epoch

@@ -146,30 +146,12 @@ void HeadTrainer::State::update_surfels() {
   for (float& log_scale : s.log_scale) log_scale = std::min(log_scale, largest);
 }
 
-// Pulls the light towards an even, white one: what the frames do not tell of it, the materials must
-// not make up for.
-double HeadTrainer::State::even_light_loss(std::vector<float>& d_log_radiance) const {
-  const std::vector<float>& light = model.environment;
-  const auto count = static_cast<double>(light.size());
-  double mean = 0, sum = 0;
-  for (const float x : light) mean += x / count;
-  const double scale = 2 * settings.weights.environment / count;
-  for (size_t i = 0; i < light.size(); ++i) {
-    const double off = light[i] - mean;
-    sum += off * off;
-    d_log_radiance[i] += static_cast<float>(scale * off);
-  }
-  return sum / count;
-}
-
-void HeadTrainer::State::update_environment(const PrefilteredEnvironment& d_light,
-                                            LossValues& losses) {
+void HeadTrainer::State::update_environment(const PrefilteredEnvironment& d_light) {
   Cubemap d_radiance(kEnvironmentSize);
   prefilter.backward(d_light, d_radiance);
   const Cubemap radiance = environment_radiance(model.environment);
   for (size_t i = 0; i < d_radiance.texels.size(); ++i)
     d_radiance.texels[i] *= radiance.texels[i];  // d exp(x) = exp(x)
-  if (settings.weights.environment > 0) losses["environment"] = even_light_loss(d_radiance.texels);
   adam_step(model.environment, d_radiance.texels, optimiser.environment,
             static_cast<float>(rate_factor() * settings.rates.environment));
 }
@@ -297,7 +279,7 @@ LossValues HeadTrainer::State::step() {
 
   update_rig(frame, tracked, losses);
   update_surfels();
-  update_environment(d_light, losses);
+  update_environment(d_light);
   update_material(losses);
   ++iteration;
   for (const auto& [name, value] : losses)

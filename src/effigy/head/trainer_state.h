@@ -78,8 +78,7 @@ struct HeadTrainer::State {
   void image_losses(LossValues& losses);
   void surfel_losses(LossValues& losses);
   void update_surfels();
-  double even_light_loss(std::vector<float>& d_log_radiance) const;
-  void update_environment(const PrefilteredEnvironment& d_light, LossValues& losses);
+  void update_environment(const PrefilteredEnvironment& d_light);
   void update_material(LossValues& losses);
   void update_rig(int frame, const RigPose& tracked, LossValues& losses);
   void update_pose(int frame, const RigPose& tracked, const RigGradient& gradient,
