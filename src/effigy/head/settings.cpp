@@ -134,6 +134,7 @@ void TrainSettings::make_paper_literal() {
   set_paper_rig(*this);
   weights.material_prior = 0;
   rates.environment = 2e-2;
+  weights.dssim = 0.2;
 }
 
 Json to_json(const TrainSettings& settings) {

@@ -29,10 +29,10 @@ struct LearningRates {
 
 // Weights of the losses (Table 3b with decisions in metres).
 struct LossWeights {
-  double l1 = 0.80, dssim = 0.20, mask = 0.10;
-  double albedo_prior = 0.25;  // only frames that have a prior image
-  double smooth = 0.01;        // TV of roughness and F0
-  double normal_map = 0.01;    // L1 to the flat normal
+  double l1 = 0.80, dssim = 0.50, mask = 0.10;  // dssim: Table 3b 0.20
+  double albedo_prior = 0.25;                   // only frames that have a prior image
+  double smooth = 0.01;                         // TV of roughness and F0
+  double normal_map = 0.01;                     // L1 to the flat normal
   double normal_consistency = 0.05;
   double uv_distortion = 50;
   double boundary = 1;
