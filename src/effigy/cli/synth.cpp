@@ -40,6 +40,8 @@ void add_head(CLI::App& app, HeadCommand& c) {
                  "How many held-out frames get that truth (default all)");
   app.add_flag("--no-relight", c.no_relight, "No frames under other lights");
   app.add_option("--spp", o.samples, "Samples a pixel (default 64; powers of two are best)");
+  app.add_flag("--subsurface", o.subsurface,
+               "Light spreads below the skin and through the ears (path-traced truth)");
   app.add_option("--bounces", o.bounces, "Reflections of a light path (default 8)");
   app.add_option("--truth", c.truth,
                  "path-traced (default), unshadowed (no shadows, no bounces), split-sum");

@@ -17,6 +17,7 @@ struct HeadMaterials {
   Image roughness;  // 1
   Image specular;   // 1, F0
   Image normal;     // 3, tangent space, unit, OpenGL (not encoded)
+  Image scatter;    // 1: how far light spreads below the surface, relative to bare skin
 };
 
 // The standard subjects are 1 to kStandardSubjects; every other number is somebody at random.

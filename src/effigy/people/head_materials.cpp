@@ -193,13 +193,14 @@ class Painter {
 
   HeadMaterials finish() const {
     HeadMaterials out{Image(size_, size_, 3), Image(size_, size_, 1), Image(size_, size_, 1),
-                      Image(size_, size_, 3)};
+                      Image(size_, size_, 3), Image(size_, size_, 1)};
     for (size_t i = 0; i < pixels(); ++i) {
       for (int c = 0; c < 3; ++c) {
         out.albedo.data[3 * i + c] = static_cast<float>(std::clamp(paint_[i].albedo[c], 0.0, 1.0));
         out.normal.data[3 * i + c] = static_cast<float>(normals_[i][c]);
       }
       out.roughness.data[i] = static_cast<float>(std::clamp(paint_[i].roughness, 0.05, 1.0));
+      out.scatter.data[i] = static_cast<float>(std::clamp(paint_[i].scatter, 0.0, 1.0));
       out.specular.data[i] = static_cast<float>(std::clamp(paint_[i].specular, 0.02, 0.08));
     }
     return out;

@@ -223,6 +223,7 @@ void hair(const Place& place, const Subject& s, Paint& out) {
   colour = blend(colour, Vec3d(0.36, 0.35, 0.33) * (1 + 0.4 * streak), s.grey > 0 ? white : 0.0);
   out.albedo = blend(out.albedo, colour.cwiseMax(0.003), 0.97 * cover);
   out.roughness = mix(out.roughness, 0.58 + 0.08 * s.hair.curl + 0.08 * streak, cover);
+  out.scatter *= 1 - cover;
   out.specular = mix(out.specular, 0.046, cover);
   out.height = mix(out.height, (0.42 + 0.15 * s.hair.curl) * streak, cover);
 }
@@ -239,6 +240,7 @@ void brows(const Place& place, const Subject& s, Paint& out) {
       blend(s.brow_colour, Vec3d::Constant(0.30), 0.6 * s.grey) * (1 + 0.35 * stroke);
   out.albedo = blend(out.albedo, colour.cwiseMax(0.004), 0.88 * brow);
   out.roughness = mix(out.roughness, 0.66, brow);
+  out.scatter *= 1 - 0.88 * brow;
   out.height += 0.09 * brow * (1 + stroke);
 }
 

@@ -25,7 +25,8 @@ struct Place {
 struct Paint {
   Vec3d albedo = Vec3d::Zero();  // linear
   double roughness = 0.5, specular = 0.028;
-  double height = 0;  // millimetres, of the fine relief
+  double scatter = 1;  // relative to bare skin
+  double height = 0;   // millimetres, of the fine relief
 };
 
 // `texel`: millimetres a texel covers; relief finer than that is left out.

@@ -21,6 +21,7 @@ Vec3d blend(const Vec3d& a, const Vec3d& b, double t) {
 // Angles from the axis of the eye: the pupil ends at 10 degrees, the iris at 29 (limbus).
 Paint paint_eye(const Place& place, const Subject& subject) {
   Paint out;
+  out.scatter = 0;
   const double side = place.p.x() > 0 ? 1 : -1;
   const Vec3d q = place.p - Vec3d(side * kEyeX, kEyeY, kEyeZ);
   const double angle = std::atan2(std::hypot(q.x(), q.y()), q.z()) * 180 / kPi;
@@ -57,6 +58,7 @@ Paint paint_eye(const Place& place, const Subject& subject) {
 
 Paint paint_teeth(const Place& place) {
   Paint out;
+  out.scatter = 0.5;
   // Gaps between the teeth lie at whole numbers.
   const double line = 1 - smooth_step(0.03, 0.11, std::abs(place.along - std::round(place.along)));
   Vec3d c(0.66, 0.60, 0.49);

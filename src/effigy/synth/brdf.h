@@ -46,6 +46,9 @@ class Brdf {
     chance_ = body <= 0 ? 1.0f : std::clamp(shine / (shine + body), 0.1f, 0.9f);
   }
 
+  // How often sample() takes the specular lobe.
+  float specular_chance() const { return chance_; }
+
   struct Value {
     Vec3f reflected = Vec3f::Zero();  // f times n.l
     float density = 0;                // of sample(), per steradian

@@ -32,6 +32,8 @@ void check_options(const SynthHeadOptions& o) {
     throw Error(
         "A synthetic capture needs at least 4 frames of 32 pixels, 1 sample a pixel and 1 "
         "bounce.");
+  if (o.subsurface && o.truth != HeadTruth::kPathTraced)
+    throw Error("--subsurface needs path-traced truth: the other truths are of opaque surfaces.");
   if (!(o.distance > 0) || !(o.frames_per_second > 0) || !std::isfinite(o.distance) ||
       !std::isfinite(o.frames_per_second))
     throw Error("A synthetic capture needs a positive distance and frame rate.");
@@ -242,6 +244,7 @@ class HeadCaptureWriter {
     capture_.extra["light"] = "lights/" + light_ + ".exr";
     capture_.extra["made"] = {{"samples", options_.samples},
                               {"bounces", options_.bounces},
+                              {"subsurface", options_.subsurface},
                               {"seed", options_.seed},
                               {"noise", options_.noise},
                               {"compression", options_.compression},

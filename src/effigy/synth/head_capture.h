@@ -26,6 +26,7 @@ struct SynthHeadOptions {
   HeadTruth truth = HeadTruth::kPathTraced;
   int samples = 64;  // a pixel; split-sum uses 16 at most
   int bounces = 8;
+  bool subsurface = false;  // light spreads below the skin; path-traced truth only
   int texture_size = 1024;
   double distance = 1.0;         // metres from camera to the head's middle
   uint64_t subject = 1;          // who: 1 to 5 are the standard subjects (docs/people.md)

@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "effigy/base/error.h"
+#include "effigy/synth/subsurface.h"
 
 namespace effigy {
 namespace {
@@ -10,13 +11,17 @@ namespace {
 constexpr double kFieldOfView = 0.35;  // radians, at a metre
 constexpr double kUsualDistance = 1.0;
 
-SurfaceMaterial head_material(int size, uint64_t subject) {
+SurfaceMaterial head_material(int size, uint64_t subject, bool subsurface) {
   HeadMaterials maps = builtin_head_materials(size, subject);
   SurfaceMaterial material;
   material.albedo = std::move(maps.albedo);
   material.roughness = std::move(maps.roughness);
   material.specular = std::move(maps.specular);
   material.normal = std::move(maps.normal);
+  if (subsurface) {
+    material.scatter = std::move(maps.scatter);
+    material.scatter_radius = kSkinScatter;
+  }
   return material;
 }
 
@@ -37,8 +42,8 @@ HeadScene::HeadScene(const SynthHeadOptions& options)
   }
   offset_ = -0.5f * (low + high);
   offset_.z() = static_cast<float>(-options.distance);
-  const int material =
-      scene_.add_material(head_material(options.texture_size, options.subject), "the head");
+  const int material = scene_.add_material(
+      head_material(options.texture_size, options.subject, options.subsurface), "the head");
   scene_.add_mesh(rig_.mesh, material, "the head");
 }
 

@@ -7,6 +7,7 @@
 #include "effigy/synth/brdf.h"
 #include "effigy/synth/camera_rays.h"
 #include "effigy/synth/sampler.h"
+#include "effigy/synth/subsurface.h"
 
 namespace effigy {
 namespace {
@@ -30,7 +31,9 @@ class Tracer {
     if (hit.triangle < 0) return false;
     Vec3f weight = Vec3f::Ones();
     for (int bounce = 1; bounce <= bounces_; ++bounce) {
-      const SurfacePoint point = scene_.surface(hit, direction);
+      SurfacePoint point = scene_.surface(hit, direction);
+      if (shadows_ && point.scatter.x() > 0 && !scatter(point, direction, sampler, weight))
+        return true;
       const ShadingFrame frame(shading_normal(point, direction));
       const Brdf brdf(point.albedo, point.roughness, point.specular, frame.to_local(-direction));
       add_point_lights(point, frame, brdf, weight, sampler, total);
@@ -59,6 +62,63 @@ class Tracer {
   }
 
  private:
+  // Makes one of its lobes by chance of a translucent point: its gloss, or where diffuse light that
+  // leaves there entered, a white Lambert surface. False when the probe for that finds nothing.
+  bool scatter(SurfacePoint& point, Vec3f& direction, PixelSampler& sampler, Vec3f& weight) const {
+    const ShadingFrame frame(shading_normal(point, direction));
+    const float chance =
+        Brdf(point.albedo, point.roughness, point.specular, frame.to_local(-direction))
+            .specular_chance();
+    if (sampler.next().x() < chance) {
+      point.albedo.setZero();
+      weight /= chance;
+      return true;
+    }
+    weight = weight.cwiseProduct(point.albedo) / (1 - chance);
+    TraceScene::Hit entry;
+    if (!find_entry(point, sampler, entry, weight)) return false;
+    point = scene_.surface(entry, -scene_.outward(entry));
+    point.albedo.setOnes();
+    point.specular = -1;
+    direction = -point.mapped;
+    return true;
+  }
+
+  // Where light that leaves at `exit` entered, found by a probe through the surface along its
+  // normal or a tangent (King et al. 2013). Of the places that the probe meets one is chosen in
+  // proportion to what it brings; `weight` is multiplied by all over its share.
+  bool find_entry(const SurfacePoint& exit, PixelSampler& sampler, TraceScene::Hit& entry,
+                  Vec3f& weight) const {
+    constexpr int kMostHits = 32;
+    const ScatterProbe probe(exit, sampler.next(), sampler.next());
+    float u = sampler.next().x(), sum = 0, chosen_share = 0, near = 0;
+    Vec3f chosen = Vec3f::Zero();
+    for (int k = 0; k < kMostHits && probe.length > 0; ++k) {
+      const TraceScene::Hit hit = scene_.closest(probe.origin, probe.direction, near);
+      if (hit.triangle < 0 || hit.distance > probe.length) break;
+      near = hit.distance * (1 + 1e-6f) + 0.1f * scene_.offset();
+      const Vec3f outward = scene_.outward(hit);
+      const SurfacePoint point = scene_.surface(hit, -outward);
+      if (point.mesh != exit.mesh || point.scatter.x() <= 0) continue;
+      const Vec3f brought = probe.share(point.position - exit.position, outward);
+      const float share = brought.sum();
+      if (!(share > 0)) continue;
+      sum += share;
+      const float chance = share / sum;
+      if (u < chance) {
+        chosen = brought;
+        chosen_share = share;
+        entry = hit;
+        u = std::min(u / chance, 0x1.fffffep-1f);
+      } else {
+        u = std::min((u - chance) / (1 - chance), 0x1.fffffep-1f);
+      }
+    }
+    if (!(chosen_share > 0)) return false;
+    weight = weight.cwiseProduct(chosen) * (sum / chosen_share);
+    return true;
+  }
+
   // The next hit that is not passed by chance of its opacity.
   TraceScene::Hit next_surface(const Vec3f& origin, const Vec3f& direction,
                                PixelSampler& sampler) const {

@@ -3,6 +3,10 @@
 // bounce on. Every sample depends on pixel, index and seed only: the same seed gives the same bits
 // for any number of threads.
 //
+// Diffuse light of a translucent material leaves elsewhere than it entered, by the material's
+// diffusion profile over the true distance (subsurface.h): through ears and nostrils too. Between
+// entering and leaving no bounce is counted, and without shadows (kUnshadowed) it is Lambert's.
+//
 // Where a normal map turns a normal away from the viewer it is bent back until it stands at right
 // angles to the view; surfaces are seen and lit from both sides. Rays leave from the smooth surface
 // that the vertex normals describe (scene.h), so a coarse mesh does not shadow itself by its

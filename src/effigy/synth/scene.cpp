@@ -61,6 +61,12 @@ int TraceScene::add_material(const SurfaceMaterial& source, const std::string& n
   check_map(source.specular, 1, 0, 1, name + ": the specular map");
   if (!source.normal.empty()) check_map(source.normal, 3, -1, 1, name + ": the normal map");
   if (!source.opacity.empty()) check_map(source.opacity, 1, 0, 1, name + ": the opacity map");
+  if (!source.scatter.empty()) check_map(source.scatter, 1, 0, 1, name + ": the scatter map");
+  if (!source.scatter_radius.allFinite() || source.scatter_radius.minCoeff() < 0 ||
+      (source.scatter_radius.maxCoeff() > 0 && source.scatter_radius.minCoeff() == 0))
+    throw Error(name +
+                ": its scatter radius must be three positive lengths in metres, or zero; "
+                "correct it.");
   int width = 1, height = 1;
   for (const Image* map :
        {&source.albedo, &source.roughness, &source.specular, &source.normal, &source.opacity}) {
@@ -69,7 +75,9 @@ int TraceScene::add_material(const SurfaceMaterial& source, const std::string& n
   }
   Material material;
   material.specular_lobe = source.specular_lobe;
-  material.textured = width > 1 || height > 1;
+  material.scatter = source.scatter;
+  material.scatter_radius = source.scatter_radius;
+  material.textured = width > 1 || height > 1 || source.scatter.width > 1;
   material.texture = MaterialTexture(width, height);
   for (int row = 0; row < height; ++row)
     for (int x = 0; x < width; ++x) {
@@ -215,6 +223,12 @@ float TraceScene::opacity(const Hit& hit) const {
   return texel[7];
 }
 
+Vec3f TraceScene::outward(const Hit& hit) const {
+  const Facet& t = triangles_[hit.triangle];
+  return unit_or((t.position[1] - t.position[0]).cross(t.position[2] - t.position[0]),
+                 Vec3f::UnitZ());
+}
+
 SurfacePoint TraceScene::surface(const Hit& hit, const Vec3f& direction) const {
   const Facet& t = triangles_[hit.triangle];
   const Material& material = materials_[meshes_[t.mesh].material];
@@ -242,6 +256,14 @@ SurfacePoint TraceScene::surface(const Hit& hit, const Vec3f& direction) const {
                   up * point.normal,
               point.normal);
   const float side = point.geometric.dot(direction) > 0 ? -1.0f : 1.0f;
+  point.scatter = side > 0 ? material.scatter_radius : Vec3f(Vec3f::Zero());
+  if (point.scatter.x() > 0 && !material.scatter.empty()) {
+    float share;
+    sample_bilinear(material.scatter, point.uv.x() * static_cast<float>(material.scatter.width),
+                    (1 - point.uv.y()) * static_cast<float>(material.scatter.height), &share);
+    // Less than a hundredth of the way is not worth the noise.
+    point.scatter *= share > 0.01f ? share : 0.0f;
+  }
   // Where the vertices' tangent planes stand above the facet (Hanika 2021): rays that leave from
   // there do not see the facets of a smooth surface.
   point.origin = point.position;

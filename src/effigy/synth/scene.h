@@ -22,6 +22,10 @@ struct SurfaceMaterial {
   Image specular;   // 1, F0
   Image normal;     // 3, tangent space, OpenGL, not encoded; empty: flat
   Image opacity;    // 1; empty: opaque
+  Image scatter;    // 1, times scatter_radius; empty: 1
+  // Metres: d of the diffusion profile of each channel (subsurface.h), by which diffuse light
+  // leaves elsewhere than it entered. Zero: Lambert.
+  Vec3f scatter_radius = Vec3f::Zero();
   bool specular_lobe = true;
 };
 SurfaceMaterial constant_material(const Vec3f& albedo, float roughness, float specular);
@@ -42,6 +46,7 @@ struct SurfacePoint {
   Vec2f uv;
   Vec3f albedo;
   float roughness, specular;  // specular < 0: no specular lobe
+  Vec3f scatter;              // metres, 0: Lambert; also 0 where the ray met the back
   int mesh, part;             // part: of Mesh::triangle_part, 0 without
 };
 
@@ -80,6 +85,8 @@ class TraceScene {
   // Opacity at a hit, 1 for opaque materials.
   float opacity(const Hit& hit) const;
   SurfacePoint surface(const Hit& hit, const Vec3f& direction) const;
+  // Of the facet as its corners turn, whichever side was hit.
+  Vec3f outward(const Hit& hit) const;
   // The share of light that passes between two points: 0 or 1 where everything is opaque.
   float transmittance(const Vec3f& origin, const Vec3f& direction, float far) const;
   // Smooth vertex normals of a posed mesh, 3V.
@@ -93,6 +100,8 @@ class TraceScene {
   struct Material {
     MaterialTexture texture;  // spare channel: opacity
     bool transparent = false, specular_lobe = true, textured = false;
+    Image scatter;
+    Vec3f scatter_radius = Vec3f::Zero();
   };
   struct PosedMesh {
     Mesh mesh;

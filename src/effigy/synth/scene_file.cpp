@@ -64,6 +64,9 @@ SurfaceMaterial material_from(const Json& json, const Path& file) {
   take("specular", 1, material.specular);
   take("normal", 3, material.normal);
   take("opacity", 1, material.opacity);
+  take("scatter", 1, material.scatter);
+  if (json.contains("scatter_radius"))
+    material.scatter_radius = three(json, "scatter_radius", file).cast<float>();
   material.specular_lobe = json_field_or<bool>(json, "specular_lobe", file, true);
   return material;
 }
