@@ -8,6 +8,7 @@
 
 #include "effigy/base/random.h"
 #include "effigy/base/threads.h"
+#include "effigy/splat/kernel_choice.h"
 #include "effigy/splat/surfel_kernels.h"
 
 namespace effigy {
@@ -160,9 +161,9 @@ std::vector<BenchResult> bench_kernels(const BenchOptions& options) {
   set_thread_count(1);
   const int repeats = std::max(1, options.repeats / 3);
   const BenchResult best = measure("", repeats, 1.0, [&] { forward(plain); });
-  choose_surfel_kernels(KernelChoice::kScalar);
+  choose_splat_kernels(KernelChoice::kScalar);
   const BenchResult scalar = measure("", repeats, 1.0, [&] { forward(plain); });
-  choose_surfel_kernels(KernelChoice::kBest);
+  choose_splat_kernels(KernelChoice::kBest);
   results.push_back({"head.scalar.ratio", scalar.median / best.median, scalar.min / best.max,
                      scalar.max / best.min, 1});
   set_thread_count(threads);

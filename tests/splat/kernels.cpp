@@ -11,6 +11,7 @@
 
 #include "effigy/base/error.h"
 #include "effigy/base/threads.h"
+#include "effigy/splat/kernel_choice.h"
 #include "effigy/splat/surfel_kernels.h"
 #include "splat/oracle.h"
 #include "splat/random_scenes.h"
@@ -22,11 +23,11 @@ namespace {
 class UseTarget {
  public:
   explicit UseTarget(int64_t target) {
-    choose_surfel_kernels(target == 0 ? KernelChoice::kScalar : KernelChoice::kBest);
+    choose_splat_kernels(target == 0 ? KernelChoice::kScalar : KernelChoice::kBest);
     hwy::SetSupportedTargetsForTest(target);
   }
   ~UseTarget() {
-    choose_surfel_kernels(KernelChoice::kBest);
+    choose_splat_kernels(KernelChoice::kBest);
     hwy::SetSupportedTargetsForTest(0);
   }
 };

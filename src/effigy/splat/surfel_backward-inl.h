@@ -24,18 +24,10 @@ constexpr size_t kRemaining = kGBufferPlanes + 1;
 constexpr size_t kBackwardPlanes = kGBufferPlanes + 2;
 static_assert(kBackwardPlanes <= kMostPlanes);
 
-// One row of a vector's pixels, of which `left` remain in the image; zeros beyond.
-HWY_INLINE hn::Vec<Dw> load_row(const float* p, size_t left) {
-  if (left >= kWide) return hn::LoadU(dw, p);
-  HWY_ALIGN float some[kWide] = {};
-  std::copy_n(p, left, some);
-  return hn::Load(dw, some);
-}
-
 // Loads the tile's derivatives (0 outside the image) and, with the values, the sum of w dL/dw over
 // all surfels: outputs are sums of w times something, so it is value times derivative (twice that
 // for the distortion, which is of degree two in w).
-HWY_INLINE void load_derivatives(const SurfelScene& scene, const SurfelTile& tile,
+HWY_INLINE void load_derivatives(const SurfelScene& scene, const SplatTile& tile,
                                  SurfelWorkspace& ws) {
   const size_t used = scene.uv_distortion == UvDistortion::kOff ? kUvDistortion : kGBufferPlanes;
   std::memset(ws.block, 0, sizeof(float) * kTilePixels * kBackwardPlanes);
@@ -281,26 +273,11 @@ HWY_INLINE void geometry_backward(BackwardBatch& batch, const SurfelRecord& r, s
   add_to(sums.at(SurfelSums::kCenterZ), hn::IfThenElseZero(filtered, d_z));
 }
 
-// Adds the sum of the lanes of each vector to `to`.
-HWY_INLINE void sum_lanes(Sums& sums, float* to) {
-#if HWY_TARGET != HWY_SCALAR && HWY_MAX_BYTES == 32
-  for (int k = 0; k < SurfelSums::kCount; k += 8) {
-    const Channels t = transpose(sums.at(k));
-    const Vf a = hn::Add(hn::Add(t.c0, t.c1), hn::Add(t.c2, t.c3));
-    const Vf b = hn::Add(hn::Add(t.c4, t.c5), hn::Add(t.c6, t.c7));
-    hn::StoreU(hn::Add(hn::LoadU(df, to + k), hn::Add(a, b)), df, to + k);
-  }
-#else
-  for (int k = 0; k < SurfelSums::kCount; ++k)
-    to[k] += hn::GetLane(hn::SumOfLanes(df, load(sums.at(k))));
-#endif
-}
-
 // Adds the open surfel's sums to the frame's and opens the next.
 HWY_INLINE void open_surfel(BackwardBatch& batch, uint32_t surfel) {
   if (batch.open != ~uint32_t{0}) {
     float* to = batch.buffers.sums + static_cast<size_t>(batch.open) * SurfelSums::kCount;
-    sum_lanes(batch.sums, to);
+    add_lane_sums(batch.sums.lanes, SurfelSums::kCount, to);
   }
   std::memset(batch.sums.lanes, 0, sizeof(batch.sums.lanes));
   batch.open = surfel;
@@ -327,7 +304,7 @@ HWY_INLINE void batch_backward(const SurfelScene& scene, BackwardBatch& batch,
 }
 
 template <bool kLists>
-void backward_tile(const SurfelScene& scene, const SurfelTile& tile, SurfelWorkspace& ws,
+void backward_tile(const SurfelScene& scene, const SplatTile& tile, SurfelWorkspace& ws,
                    const SurfelGradientBuffers& buffers) {
   if constexpr (kLists) {
     begin_lists(tile, true, ws);
@@ -337,7 +314,7 @@ void backward_tile(const SurfelScene& scene, const SurfelTile& tile, SurfelWorks
   }
   load_derivatives(scene, tile, ws);
   Alive alive;
-  begin_tile(tile, kBackwardPlanes, kBackwardT, ws, alive);
+  begin_surfel_tile(tile, kBackwardPlanes, kBackwardT, ws, alive);
   BackwardBatch batch(scene, buffers);
   const auto visit = [&](auto low_pass, uint32_t surfel, const SurfelRecord& r,
                          const SurfelRows& rows, const SurfelColumn& column, size_t y,
@@ -380,7 +357,7 @@ void backward_tile(const SurfelScene& scene, const SurfelTile& tile, SurfelWorks
   open_surfel(batch, ~uint32_t{0});
 }
 
-void backward(const SurfelScene& scene, const SurfelTile& tile, SurfelWorkspace& ws,
+void backward(const SurfelScene& scene, const SplatTile& tile, SurfelWorkspace& ws,
               const SurfelGradientBuffers& buffers) {
   if (scene.uv_distortion != UvDistortion::kOff)
     backward_tile<true>(scene, tile, ws, buffers);

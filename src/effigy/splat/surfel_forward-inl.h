@@ -63,10 +63,9 @@ HWY_INLINE void sum_batch(const TextureGrid& grid, ForwardBatch& batch, SurfelWo
 // Walks the tile front to back. kShade: sums the outputs (otherwise only the transmittance and the
 // lists); kLists: lists weights and uvs for the UV distortion.
 template <bool kShade, bool kLists>
-HWY_INLINE void forward_walk(const SurfelScene& scene, const SurfelTile& tile,
-                             SurfelWorkspace& ws) {
+HWY_INLINE void forward_walk(const SurfelScene& scene, const SplatTile& tile, SurfelWorkspace& ws) {
   Alive alive;
-  begin_tile(tile, kForwardPlanes, kForwardT, ws, alive);
+  begin_surfel_tile(tile, kForwardPlanes, kForwardT, ws, alive);
   const TextureGrid grid(scene);
   ForwardBatch batch;
   const auto visit = [&](auto low_pass, uint32_t, const SurfelRecord& r, const SurfelRows& rows,
@@ -96,7 +95,7 @@ HWY_INLINE void forward_walk(const SurfelScene& scene, const SurfelTile& tile,
   if constexpr (kShade) sum_batch(grid, batch, ws);
 }
 
-void forward(const SurfelScene& scene, const SurfelTile& tile, SurfelWorkspace& ws) {
+void forward(const SurfelScene& scene, const SplatTile& tile, SurfelWorkspace& ws) {
   std::memset(ws.block, 0, sizeof(float) * kTilePixels * kForwardPlanes);
   const bool lists = scene.uv_distortion != UvDistortion::kOff;
   if (lists) {
@@ -111,7 +110,8 @@ void forward(const SurfelScene& scene, const SurfelTile& tile, SurfelWorkspace& 
           ws.block + at * kForwardPlanes + kUvDistortion * kLanes);
   }
   for (size_t c = 0; c < kGBufferPlanes; ++c)
-    store_plane(scene, tile, ws.block, kForwardPlanes, c, c);
+    store_plane(tile, ws.block, kForwardPlanes, c, scene.gbuffer + c * scene.plane_size,
+                scene.row_size);
 }
 
 }  // namespace

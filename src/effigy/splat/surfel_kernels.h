@@ -2,20 +2,17 @@
 // surfel_kernels-inl.h, compiled once per instruction set.
 #pragma once
 
-#include <algorithm>
 #include <cstddef>
 #include <cstdint>
-#include <memory>
-#include <new>
 #include <vector>
 
+#include "effigy/splat/aligned_floats.h"
 #include "effigy/splat/surfel_prepare.h"
 #include "effigy/splat/surfel_raster.h"
 #include "effigy/splat/tile_bins.h"
 
 namespace effigy {
 
-inline constexpr size_t kTilePixels = kTileSize * kTileSize;
 inline constexpr size_t kMostPlanes = 32;
 
 // What every tile of a frame shares.
@@ -38,36 +35,6 @@ struct SurfelScene {
   float* gbuffer = nullptr;
   const float* d_gbuffer = nullptr;  // backward: derivative of the loss
   size_t plane_size = 0, row_size = 0;
-};
-
-struct SurfelTile {
-  int x = 0, y = 0, width = 0, height = 0;  // pixels; width and height <= kTileSize
-  const uint32_t* entries = nullptr;
-  size_t count = 0;
-};
-
-// Growing array of floats on a 64-byte boundary; growing loses what it held.
-class AlignedFloats {
- public:
-  void reserve(size_t count) {
-    if (count <= size_) return;
-    data_.reset(static_cast<float*>(::operator new(count * sizeof(float), kAlignment)));
-    std::fill_n(data_.get(), count, 0.0f);
-    size_ = count;
-  }
-  size_t size() const { return size_; }
-  float* data() { return data_.get(); }
-  const float* data() const { return data_.get(); }
-  float& operator[](size_t i) { return data_[i]; }
-  const float& operator[](size_t i) const { return data_[i]; }
-
- private:
-  static constexpr std::align_val_t kAlignment{64};
-  struct Free {
-    void operator()(float* p) const { ::operator delete(p, kAlignment); }
-  };
-  std::unique_ptr<float[], Free> data_;
-  size_t size_ = 0;
 };
 
 // Memory of one thread.
@@ -97,12 +64,12 @@ inline constexpr int kTexelBlock = 64;
 
 struct SurfelKernels {
   // Draws the tile into the G-buffer; sets pairs and used.
-  void (*forward)(const SurfelScene&, const SurfelTile&, SurfelWorkspace&);
+  void (*forward)(const SurfelScene&, const SplatTile&, SurfelWorkspace&);
   // Adds to the buffers.
-  void (*backward)(const SurfelScene&, const SurfelTile&, SurfelWorkspace&,
+  void (*backward)(const SurfelScene&, const SplatTile&, SurfelWorkspace&,
                    const SurfelGradientBuffers&);
   // Like forward, without the UV distortion and with shared lookups.
-  void (*playback)(const SurfelScene&, const SurfelTile&, SurfelWorkspace&);
+  void (*playback)(const SurfelScene&, const SplatTile&, SurfelWorkspace&);
   // Rounds `count` floats, a multiple of 8, to half precision.
   void (*halve)(const float*, size_t count, uint16_t*);
   const char* target;  // name of the instruction set
@@ -114,9 +81,5 @@ SurfelKernels best_surfel_kernels();
 std::vector<int64_t> surfel_kernel_targets();
 // The same source compiled for one lane.
 SurfelKernels scalar_surfel_kernels();
-
-// Which kernels render_surfels and its companions use; kScalar is for tests and benchmarks.
-enum class KernelChoice { kBest, kScalar };
-void choose_surfel_kernels(KernelChoice choice);
 
 }  // namespace effigy

@@ -1,5 +1,5 @@
-// What the rasterizer's passes share, written with Highway: a vector holds neighbouring pixels of
-// one row of a tile; walking a tile's surfels, meeting one of them, looking up the texture.
+// What the surfel rasterizer's passes share: walking a tile's surfels, meeting one of them, looking
+// up the texture.
 
 #if defined(EFFIGY_SPLAT_SURFEL_LANES_INL_H_) == defined(HWY_TARGET_TOGGLE)  // once per target
 #ifdef EFFIGY_SPLAT_SURFEL_LANES_INL_H_
@@ -9,10 +9,11 @@
 #endif
 
 #include <algorithm>
-#include <cmath>
 #include <cstring>
 #include <type_traits>
+
 #include "effigy/splat/surfel_kernels.h"
+#include "effigy/splat/tile_lanes-inl.h"
 #include "hwy/cache_control.h"
 #include "hwy/highway.h"
 
@@ -21,77 +22,6 @@ namespace effigy {
 namespace HWY_NAMESPACE {
 namespace {
 
-namespace hn = hwy::HWY_NAMESPACE;
-
-// A vector never holds more than one row of a tile.
-using Df = hn::CappedTag<float, kTileSize>;
-using Di = hn::RebindToSigned<Df>;
-using Vf = hn::Vec<Df>;
-using Vi = hn::Vec<Di>;
-using Mf = hn::Mask<Df>;
-constexpr Df df;
-constexpr Di di;
-constexpr size_t kLanes = hn::MaxLanes(Df());
-constexpr size_t kTile = kTileSize;
-// A vector covers kWide x kTall pixels: a compact shape wastes fewer lanes along a surfel's
-// outline. Vector (j, y / kTall) of the tile has the number y / kTall * kColumns + j; its pixels'
-// data start at that number times kLanes ("at").
-constexpr size_t kWide = kLanes < 4 ? kLanes : 4;
-constexpr size_t kTall = kLanes / kWide;
-constexpr size_t kColumns = kTile / kWide;
-using Dw = hn::CappedTag<float, kWide>;  // one row of a vector's pixels
-constexpr Dw dw;
-// One texel: 8 floats in one vector, or in as many as the target needs.
-using Dt = hn::CappedTag<float, 8>;
-constexpr Dt dt;
-constexpr size_t kTexelLanes = hn::MaxLanes(Dt());
-
-constexpr float kMaxAlpha = 0.99f;
-constexpr float kMinTransmittance = 1e-4f;
-constexpr float kRoundingShift = 12582912.0f;  // 1.5 * 2^23: adding it rounds to an integer
-
-HWY_INLINE Vf set(float x) {
-  return hn::Set(df, x);
-}
-HWY_INLINE Vf load(const float* p) {
-  return hn::Load(df, p);
-}
-HWY_INLINE void store(Vf v, float* p) {
-  hn::Store(v, df, p);
-}
-// *p += a * b and *p += a, for vectors in memory.
-HWY_INLINE void add_product(float* p, Vf a, Vf b) {
-  store(hn::MulAdd(a, b, load(p)), p);
-}
-HWY_INLINE void add_to(float* p, Vf a) {
-  store(hn::Add(a, load(p)), p);
-}
-
-// Bit i is set where lane i of the mask is.
-HWY_INLINE uint32_t bits_of(Mf mask) {
-  uint8_t bytes[HWY_MAX(size_t{8}, (kLanes + 7) / 8)] = {};
-  hn::StoreMaskBits(df, mask, bytes);
-  uint32_t bits;
-  std::memcpy(&bits, bytes, sizeof(bits));
-  return bits;
-}
-
-// 2^x for x in [-126, 1], relative error below 2e-7: Chebyshev polynomial of degree 5 on
-// [-1/2, 1/2]. Garbage (but no trap) beyond.
-HWY_INLINE Vf exp2_fast(Vf x) {
-  const Vf shifted = hn::Add(x, set(kRoundingShift));
-  const Vf f = hn::Sub(x, hn::Sub(shifted, set(kRoundingShift)));
-  Vf p = set(0.0013390863f);
-  p = hn::MulAdd(p, f, set(0.0096760319f));
-  p = hn::MulAdd(p, f, set(0.0555035711f));
-  p = hn::MulAdd(p, f, set(0.2402210749f));
-  p = hn::MulAdd(p, f, set(0.6931471880f));
-  p = hn::MulAdd(p, f, set(1.0000000755f));
-  // The low bits of `shifted` are the integer part.
-  const Vi exponent = hn::ShiftLeft<23>(hn::BitCast(di, shifted));
-  return hn::BitCast(df, hn::Add(hn::BitCast(di, p), exponent));
-}
-
 // The rows of a tile as one surfel sees them: its affine functions at dx = 0, and which vectors of
 // pixels it can reach.
 struct SurfelRows {
@@ -99,17 +29,14 @@ struct SurfelRows {
   HWY_ALIGN float b[kTile];
   HWY_ALIGN float c[kTile];
   HWY_ALIGN float y[kTile];  // pixel centre - anchor
-  uint32_t reach[kColumns];  // bit y: the vector of this column whose top row is y
+  Reach reach;
 };
 
-HWY_INLINE void find_rows(const SurfelRecord& r, const SurfelOutline& o, const SurfelTile& tile,
+HWY_INLINE void find_rows(const SurfelRecord& r, const SurfelOutline& o, const SplatTile& tile,
                           SurfelRows& rows) {
   const float top = static_cast<float>(tile.y) + 0.5f - r.anchor_y;
   const Vf to_column = set(r.anchor_x - static_cast<float>(tile.x) - 0.5f);
-  const Vf zero = hn::Zero(df), one = set(1.0f);
-  const uint32_t tall = (uint32_t{1} << tile.height) - 1;
-  for (size_t j = 0; j < kColumns; ++j)
-    rows.reach[j] = o.everywhere && static_cast<int>(j * kWide) < tile.width ? tall : 0;
+  begin_reach(tile, o.everywhere, rows.reach);
   for (size_t row = 0; row < kTile; row += kLanes) {
     const Vf y = hn::Iota(df, top + static_cast<float>(row));
     store(hn::MulAdd(set(r.a[2]), y, set(r.a[0])), rows.a + row);
@@ -117,48 +44,19 @@ HWY_INLINE void find_rows(const SurfelRecord& r, const SurfelOutline& o, const S
     store(hn::MulAdd(set(r.c[2]), y, set(r.c[0])), rows.c + row);
     store(y, rows.y + row);
     if (o.everywhere) continue;
-    const Vf dy = hn::Sub(y, set(o.y));
-    const Vf q = hn::NegMulAdd(hn::Mul(dy, dy), set(o.inverse_yy), one);
-    const Vf half = hn::Sqrt(hn::Mul(hn::Max(q, zero), set(o.k)));
-    const Vf middle = hn::MulAdd(set(o.slope), dy, set(o.x));
-    const Mf inside = hn::Ge(q, zero);
-    Vf left = hn::IfThenElse(inside, hn::Sub(middle, half), set(1e6f));
-    Vf right = hn::IfThenElse(inside, hn::Add(middle, half), set(-1e6f));
+    Vf left, right;
+    ellipse_rows(o, y, left, right);
     if (o.disc_squared > 0.0f) {
       const Vf ey = hn::Sub(y, set(o.disc_y));
       const Vf rest = hn::NegMulAdd(ey, ey, set(o.disc_squared));
-      const Mf in_disc = hn::Ge(rest, zero);
-      const Vf reach = hn::Sqrt(hn::Max(rest, zero));
+      const Mf in_disc = hn::Ge(rest, hn::Zero(df));
+      const Vf reach = hn::Sqrt(hn::Max(rest, hn::Zero(df)));
       left = hn::IfThenElse(in_disc, hn::Min(left, hn::Sub(set(o.disc_x), reach)), left);
       right = hn::IfThenElse(in_disc, hn::Max(right, hn::Add(set(o.disc_x), reach)), right);
     }
-    // First and last column of pixels; a vector is reached when it has one of them or lies between.
-    const Vf first = hn::Ceil(hn::Add(left, to_column));
-    const Vf last =
-        hn::Min(hn::Floor(hn::Add(right, to_column)), set(static_cast<float>(tile.width - 1)));
-    const Mf some = hn::Le(first, last);
-    for (size_t j = 0; j < kColumns; ++j) {
-      const auto begin = static_cast<float>(j * kWide);
-      const Mf here = hn::And(hn::Le(first, set(begin + static_cast<float>(kWide - 1))),
-                              hn::Ge(last, set(begin)));
-      rows.reach[j] |= (bits_of(hn::And(some, here)) << row) & tall;
-    }
+    reach_rows(tile, row, left, right, to_column, rows.reach);
   }
-  // A vector is reached when one of its rows is.
-  for (size_t j = 0; j < kColumns; ++j) {
-    const uint32_t bits = rows.reach[j];
-    if constexpr (kTall == 2) rows.reach[j] = (bits | bits >> 1) & 0x5555u;
-    if constexpr (kTall == 4) rows.reach[j] = (bits | bits >> 1 | bits >> 2 | bits >> 3) & 0x1111u;
-  }
-}
-
-// Position of each lane in its vector's pixels.
-HWY_INLINE Vf lane_x() {
-  return hn::ConvertTo(df, hn::And(hn::Iota(di, 0), hn::Set(di, static_cast<int32_t>(kWide - 1))));
-}
-HWY_INLINE Vf lane_y() {
-  constexpr int kBits = kWide == 4 ? 2 : 0;
-  return hn::ConvertTo(df, hn::ShiftRight<kBits>(hn::Iota(di, 0)));
+  end_reach(tile, rows.reach);
 }
 
 // One column of vectors as a surfel sees it: dx = pixel centre - anchor, dy beyond the top row, and
@@ -254,120 +152,6 @@ struct TextureBatch {
   size_t slots = 0;
 };
 
-// One channel of all lanes in each vector.
-struct Channels {
-  Vf c0, c1, c2, c3, c4, c5, c6, c7;
-};
-
-#if HWY_TARGET != HWY_SCALAR
-// 4 x 4 transpose within each 128-bit block.
-template <class D, class V>
-HWY_INLINE void transpose4(D d, V& r0, V& r1, V& r2, V& r3) {
-  const hn::Repartition<double, D> wide;
-  const auto lower = [&](V a, V b) HWY_ATTR {
-    return hn::BitCast(d, hn::InterleaveLower(wide, hn::BitCast(wide, a), hn::BitCast(wide, b)));
-  };
-  const auto upper = [&](V a, V b) HWY_ATTR {
-    return hn::BitCast(d, hn::InterleaveUpper(wide, hn::BitCast(wide, a), hn::BitCast(wide, b)));
-  };
-  const V a = hn::InterleaveLower(d, r0, r1), b = hn::InterleaveLower(d, r2, r3);
-  const V c = hn::InterleaveUpper(d, r0, r1), e = hn::InterleaveUpper(d, r2, r3);
-  r0 = lower(a, b);
-  r1 = upper(a, b);
-  r2 = lower(c, e);
-  r3 = upper(c, e);
-}
-#endif
-
-#if HWY_TARGET != HWY_SCALAR && HWY_MAX_BYTES >= 32
-struct EightTexels {
-  hn::Vec<Dt> r0, r1, r2, r3, r4, r5, r6, r7;
-};
-
-HWY_INLINE EightTexels transpose_rows(EightTexels e) {
-  transpose4(dt, e.r0, e.r1, e.r2, e.r3);
-  transpose4(dt, e.r4, e.r5, e.r6, e.r7);
-  return {hn::ConcatLowerLower(dt, e.r4, e.r0), hn::ConcatLowerLower(dt, e.r5, e.r1),
-          hn::ConcatLowerLower(dt, e.r6, e.r2), hn::ConcatLowerLower(dt, e.r7, e.r3),
-          hn::ConcatUpperUpper(dt, e.r4, e.r0), hn::ConcatUpperUpper(dt, e.r5, e.r1),
-          hn::ConcatUpperUpper(dt, e.r6, e.r2), hn::ConcatUpperUpper(dt, e.r7, e.r3)};
-}
-
-HWY_INLINE EightTexels transpose8(const float* from) {
-  const auto row = [&](size_t k) HWY_ATTR { return hn::Load(dt, from + 8 * k); };
-  return transpose_rows({row(0), row(1), row(2), row(3), row(4), row(5), row(6), row(7)});
-}
-
-HWY_INLINE void store_rows(const EightTexels& e, float* to) {
-  hn::Store(e.r0, dt, to);
-  hn::Store(e.r1, dt, to + 8);
-  hn::Store(e.r2, dt, to + 16);
-  hn::Store(e.r3, dt, to + 24);
-  hn::Store(e.r4, dt, to + 32);
-  hn::Store(e.r5, dt, to + 40);
-  hn::Store(e.r6, dt, to + 48);
-  hn::Store(e.r7, dt, to + 56);
-}
-#endif
-
-// From kLanes times eight floats, lane by lane, to channel by channel.
-HWY_INLINE Channels transpose(const float* p) {
-#if HWY_TARGET == HWY_SCALAR
-  return {load(p),     load(p + 1), load(p + 2), load(p + 3),
-          load(p + 4), load(p + 5), load(p + 6), load(p + 7)};
-#elif HWY_MAX_BYTES < 32  // four lanes
-  Channels t{load(p),     load(p + 8),  load(p + 16), load(p + 24),
-             load(p + 4), load(p + 12), load(p + 20), load(p + 28)};
-  transpose4(df, t.c0, t.c1, t.c2, t.c3);
-  transpose4(df, t.c4, t.c5, t.c6, t.c7);
-  return t;
-#elif HWY_MAX_BYTES < 64  // eight
-  const EightTexels x = transpose8(p);
-  return {x.r0, x.r1, x.r2, x.r3, x.r4, x.r5, x.r6, x.r7};
-#else                     // sixteen
-  const EightTexels x = transpose8(p), y = transpose8(p + 64);
-  const auto both = [](auto lower, auto upper) HWY_ATTR { return hn::Combine(df, upper, lower); };
-  return {both(x.r0, y.r0), both(x.r1, y.r1), both(x.r2, y.r2), both(x.r3, y.r3),
-          both(x.r4, y.r4), both(x.r5, y.r5), both(x.r6, y.r6), both(x.r7, y.r7)};
-#endif
-}
-
-// The other way round.
-HWY_INLINE void untranspose(Channels t, float* p) {
-#if HWY_TARGET == HWY_SCALAR
-  store(t.c0, p);
-  store(t.c1, p + 1);
-  store(t.c2, p + 2);
-  store(t.c3, p + 3);
-  store(t.c4, p + 4);
-  store(t.c5, p + 5);
-  store(t.c6, p + 6);
-  store(t.c7, p + 7);
-#elif HWY_MAX_BYTES < 32  // four lanes
-  transpose4(df, t.c0, t.c1, t.c2, t.c3);
-  transpose4(df, t.c4, t.c5, t.c6, t.c7);
-  store(t.c0, p);
-  store(t.c4, p + 4);
-  store(t.c1, p + 8);
-  store(t.c5, p + 12);
-  store(t.c2, p + 16);
-  store(t.c6, p + 20);
-  store(t.c3, p + 24);
-  store(t.c7, p + 28);
-#elif HWY_MAX_BYTES < 64  // eight
-  store_rows(transpose_rows({t.c0, t.c1, t.c2, t.c3, t.c4, t.c5, t.c6, t.c7}), p);
-#else                     // sixteen
-  const auto lower = [](Vf v) HWY_ATTR { return hn::LowerHalf(dt, v); };
-  const auto upper = [](Vf v) HWY_ATTR { return hn::UpperHalf(dt, v); };
-  store_rows(transpose_rows({lower(t.c0), lower(t.c1), lower(t.c2), lower(t.c3), lower(t.c4),
-                             lower(t.c5), lower(t.c6), lower(t.c7)}),
-             p);
-  store_rows(transpose_rows({upper(t.c0), upper(t.c1), upper(t.c2), upper(t.c3), upper(t.c4),
-                             upper(t.c5), upper(t.c6), upper(t.c7)}),
-             p + 64);
-#endif
-}
-
 struct TextureGrid {
   const float* texels;
   size_t step_x, step_y;  // floats
@@ -456,47 +240,23 @@ HWY_INLINE void sample(const TextureGrid& grid, TextureBatch& batch) {
   }
 }
 
-// Which vectors of the tile still have a pixel to fill.
-struct Alive {
-  uint32_t rows[kColumns];  // bit y: the vector whose top row is y
-  size_t count;
-};
-
-// The transmittance of the vector of pixels `at` is at ws.block[at * planes + plane * kLanes].
-HWY_INLINE void begin_tile(const SurfelTile& tile, size_t planes, size_t plane, SurfelWorkspace& ws,
-                           Alive& alive) {
+HWY_INLINE void begin_surfel_tile(const SplatTile& tile, size_t planes, size_t plane,
+                                  SurfelWorkspace& ws, Alive& alive) {
   ws.pairs = 0;
   ws.used = 0;
-  alive.count = 0;
-  for (size_t j = 0; j < kColumns; ++j) alive.rows[j] = 0;
-  for (size_t y = 0; y < kTile; y += kTall) {
-    for (size_t j = 0; j < kColumns; ++j) {
-      const size_t at = (y / kTall * kColumns + j) * kLanes;
-      const auto left = static_cast<float>(tile.width - static_cast<int>(j * kWide));
-      const auto below = static_cast<float>(tile.height - static_cast<int>(y));
-      const Mf inside = hn::And(hn::Lt(lane_x(), set(left)), hn::Lt(lane_y(), set(below)));
-      store(hn::IfThenElseZero(inside, set(1.0f)), ws.block + at * planes + plane * kLanes);
-      if (hn::AllFalse(df, inside)) continue;
-      alive.rows[j] |= uint32_t{1} << y;
-      ++alive.count;
-    }
-  }
+  begin_tile(tile, planes, plane, ws.block, alive);
 }
 
 // Stores the new transmittances; notes when the vector's last pixel has finished.
 HWY_INLINE void update(const Hit& hit, float* transmittance, size_t at, Alive& alive) {
   store(hit.after, transmittance);
-  if (!hn::AllFalse(df, hit.finished) && hn::AllFalse(df, hn::Gt(hit.after, hn::Zero(df)))) {
-    const size_t vector = at / kLanes;
-    alive.rows[vector % kColumns] &= ~(uint32_t{1} << (vector / kColumns * kTall));
-    --alive.count;
-  }
+  finish(hit.finished, hn::Gt(hit.after, hn::Zero(df)), at, alive);
 }
 
 // Calls visit(low-pass?, surfel, record, rows, column, top row, at) for every vector of
 // pixels that the tile's surfels reach, front to back, and begin(surfel) before each surfel.
 template <class Visit, class Begin>
-HWY_INLINE void walk(const SurfelScene& scene, const SurfelTile& tile, SurfelWorkspace& ws,
+HWY_INLINE void walk(const SurfelScene& scene, const SplatTile& tile, SurfelWorkspace& ws,
                      Alive& alive, const Visit& visit, const Begin& begin) {
   SurfelRows rows;
   for (size_t e = 0; e < tile.count && alive.count != 0; ++e) {
@@ -513,7 +273,7 @@ HWY_INLINE void walk(const SurfelScene& scene, const SurfelTile& tile, SurfelWor
     begin(surfel);
     const float dx0 = static_cast<float>(tile.x) + 0.5f - r.anchor_x;
     for (size_t j = 0; j < kColumns; ++j) {
-      uint32_t bits = rows.reach[j] & alive.rows[j];
+      uint32_t bits = rows.reach.rows[j] & alive.rows[j];
       if (bits == 0) continue;
       const SurfelColumn column(r, dx0 + static_cast<float>(j * kWide));
       const auto each_row = [&](auto low_pass) HWY_ATTR {
@@ -528,24 +288,6 @@ HWY_INLINE void walk(const SurfelScene& scene, const SurfelTile& tile, SurfelWor
         each_row(std::false_type());
     }
     ws.used = e + 1;
-  }
-}
-
-// Copies plane `c` of the tile's block of `planes` planes to plane `to_plane` of the image; that of
-// vector `at` is at block[at * planes + c * kLanes].
-HWY_INLINE void store_plane(const SurfelScene& scene, const SurfelTile& tile, const float* block,
-                            size_t planes, size_t c, size_t to_plane) {
-  for (size_t y = 0; y < static_cast<size_t>(tile.height); ++y) {
-    float* to = scene.gbuffer + to_plane * scene.plane_size +
-                (static_cast<size_t>(tile.y) + y) * scene.row_size + static_cast<size_t>(tile.x);
-    const float* from = block + y / kTall * kTile * kTall * planes + c * kLanes + y % kTall * kWide;
-    for (size_t x = 0; x < static_cast<size_t>(tile.width); x += kWide) {
-      if (x + kWide <= static_cast<size_t>(tile.width))
-        hn::StoreU(hn::Load(dw, from), dw, to + x);
-      else
-        std::copy_n(from, static_cast<size_t>(tile.width) - x, to + x);
-      from += planes * kLanes;
-    }
   }
 }
 

@@ -207,7 +207,7 @@ HWY_INLINE void join_runs(const SurfelScene& scene, PlaybackBatch& batch, Surfel
 }
 
 // A tile without surfels: shading reads no other plane there.
-void clear_alpha(const SurfelScene& scene, const SurfelTile& tile, SurfelWorkspace& ws) {
+void clear_alpha(const SurfelScene& scene, const SplatTile& tile, SurfelWorkspace& ws) {
   ws.pairs = 0;
   ws.used = 0;
   const auto at = [&](int y) {
@@ -219,11 +219,11 @@ void clear_alpha(const SurfelScene& scene, const SurfelTile& tile, SurfelWorkspa
 }
 
 template <Draw kDraw>
-void playback_tile(const SurfelScene& scene, const SurfelTile& tile, SurfelWorkspace& ws) {
+void playback_tile(const SurfelScene& scene, const SplatTile& tile, SurfelWorkspace& ws) {
   if (kDraw == Draw::kShading && tile.count == 0) return clear_alpha(scene, tile, ws);
   std::memset(ws.block, 0, sizeof(float) * (kSumsBlock + kTilePixels * kSumPlanes<kDraw>));
   Alive alive;
-  begin_tile(tile, kPlaybackPlanes, kPlaybackT, ws, alive);
+  begin_surfel_tile(tile, kPlaybackPlanes, kPlaybackT, ws, alive);
   PlaybackBatch batch(scene);
   const Vf opaque = set(scene.opaque);
   const auto visit = [&](auto low_pass, uint32_t, const SurfelRecord& r, const SurfelRows& rows,
@@ -262,10 +262,12 @@ void playback_tile(const SurfelScene& scene, const SurfelTile& tile, SurfelWorks
   sum_runs<kDraw>(batch, ws);
   ws.pairs = batch.pairs;
   for (size_t c = 0; c < kSumPlanes<kDraw>; ++c)
-    store_plane(scene, tile, ws.block + kSumsBlock, kSumPlanes<kDraw>, c, kSumToPlane[c]);
+    store_plane(tile, ws.block + kSumsBlock, kSumPlanes<kDraw>, c,
+                scene.gbuffer + static_cast<size_t>(kSumToPlane[c]) * scene.plane_size,
+                scene.row_size);
 }
 
-void playback(const SurfelScene& scene, const SurfelTile& tile, SurfelWorkspace& ws) {
+void playback(const SurfelScene& scene, const SplatTile& tile, SurfelWorkspace& ws) {
   if (scene.only_shading)
     playback_tile<Draw::kShading>(scene, tile, ws);
   else if (scene.own_normals)

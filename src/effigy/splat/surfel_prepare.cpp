@@ -1,7 +1,6 @@
 #include "effigy/splat/surfel_prepare.h"
 
 #include <algorithm>
-#include <bit>
 #include <cmath>
 
 #include "effigy/base/threads.h"
@@ -177,28 +176,6 @@ bool prepare_one(const Camera& camera, const PosedSurfels& surfels, size_t i, fl
   return true;
 }
 
-// Order-preserving bits of a float.
-uint32_t sortable(float x) {
-  const auto bits = std::bit_cast<uint32_t>(x);
-  return (bits & 0x80000000u) ? ~bits : bits | 0x80000000u;
-}
-
-// Stable radix sort of indices 0..n-1 by key, 11 bits a pass, into `order`.
-void sort_by_key(const std::vector<uint32_t>& keys, std::vector<uint32_t>& order,
-                 std::vector<uint32_t>& next) {
-  const size_t n = keys.size();
-  order.resize(n);
-  next.resize(n);
-  for (size_t i = 0; i < n; ++i) order[i] = static_cast<uint32_t>(i);
-  for (int shift = 0; shift < 32; shift += 11) {
-    uint32_t count[2049] = {};
-    for (size_t i = 0; i < n; ++i) ++count[((keys[i] >> shift) & 2047u) + 1];
-    for (size_t k = 0; k < 2048; ++k) count[k + 1] += count[k];
-    for (size_t i = 0; i < n; ++i) next[count[(keys[order[i]] >> shift) & 2047u]++] = order[i];
-    order.swap(next);
-  }
-}
-
 }  // namespace
 
 void prepare_surfels(const Camera& camera, const PosedSurfels& surfels, float near, bool low_pass,
@@ -207,22 +184,16 @@ void prepare_surfels(const Camera& camera, const PosedSurfels& surfels, float ne
   view.all_records.resize(n);
   view.all_outlines.resize(n);
   view.seen.resize(n);
+  view.depth.resize(n);
   parallel_for(n, 512, [&](size_t begin, size_t end, int) {
-    for (size_t i = begin; i < end; ++i)
+    for (size_t i = begin; i < end; ++i) {
+      view.depth[i] = camera.to_camera(load3(&surfels.center[3 * i])).z();
       view.seen[i] = prepare_one(camera, surfels, i, near, low_pass, view.all_records[i],
                                  view.all_outlines[i]);
+    }
   });
-  std::vector<uint32_t>& kept = view.source;
-  kept.clear();
-  view.keys.clear();
-  for (size_t i = 0; i < n; ++i) {
-    if (!view.seen[i]) continue;
-    kept.push_back(static_cast<uint32_t>(i));
-    view.keys.push_back(sortable(view.all_records[i].center_z));
-  }
-  sort_by_key(view.keys, view.order, view.next_order);
-  for (uint32_t& k : view.order) k = kept[k];
-  kept.swap(view.order);
+  view.sort.sort(view.seen, view.depth, view.source);
+  const std::vector<uint32_t>& kept = view.source;
   view.records.resize(kept.size());
   view.outlines.resize(kept.size());
   parallel_for(kept.size(), 1024, [&](size_t begin, size_t end, int) {

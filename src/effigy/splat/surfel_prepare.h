@@ -16,6 +16,8 @@
 
 #include "effigy/geometry/types.h"
 #include "effigy/splat/bind.h"
+#include "effigy/splat/depth_sort.h"
+#include "effigy/splat/tile_bins.h"
 
 namespace effigy {
 
@@ -33,14 +35,11 @@ struct SurfelRecord {
   float normal[3], frame[9];  // world, already flipped to face the camera
 };
 
-// The region where a >= 1/255 can hold, in pixels relative to the anchor: an ellipse with centre
-// (x, y), rows y + dy spanning x + slope dy -+ sqrt(k (1 - dy^2 inverse_yy)), and the low-pass
-// disc.
-struct SurfelOutline {
-  float x, y, slope, k, inverse_yy;
-  float extent_x, extreme_dy;  // half width of the box, and dy of the rightmost point
+// The region where a >= 1/255 can hold, in pixels relative to the anchor: the ellipse and the
+// low-pass disc.
+struct SurfelOutline : EllipseOutline {
+  float extent_x;  // half width of the ellipse
   float disc_x, disc_y, disc_squared;
-  bool everywhere;  // crosses the camera's plane: no outline is known
 };
 
 struct SurfelView {
@@ -48,12 +47,12 @@ struct SurfelView {
   std::vector<SurfelOutline> outlines;  // same order
   std::vector<uint32_t> source;         // index into PosedSurfels
 
-  // Scratch of prepare_surfels, kept to keep its memory; per surfel of PosedSurfels, then per
-  // visible one.
+  // Scratch of prepare_surfels, kept to keep its memory; per surfel of PosedSurfels.
   std::vector<SurfelRecord> all_records;
   std::vector<SurfelOutline> all_outlines;
   std::vector<uint8_t> seen;
-  std::vector<uint32_t> keys, order, next_order;
+  std::vector<double> depth;
+  DepthSort sort;
 };
 
 // Surfels that can be seen, sorted by camera z of the centre. Left out: values that are not finite,

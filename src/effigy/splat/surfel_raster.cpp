@@ -10,6 +10,7 @@
 
 #include "effigy/base/error.h"
 #include "effigy/base/threads.h"
+#include "effigy/splat/kernel_choice.h"
 #include "effigy/splat/surfel_kernels.h"
 #include "effigy/splat/surfel_prepare.h"
 #include "effigy/splat/tile_bins.h"
@@ -18,13 +19,11 @@ namespace effigy {
 namespace {
 
 constexpr int kLargestTexture = 16384;
-constexpr int kLargestImage = 32768;
 constexpr std::align_val_t kTexelAlignment{size_t{1} << 21};  // of a huge page
 
-std::atomic<KernelChoice> g_choice{KernelChoice::kBest};
-
 SurfelKernels chosen_kernels() {
-  return g_choice == KernelChoice::kScalar ? scalar_surfel_kernels() : best_surfel_kernels();
+  return splat_kernel_choice() == KernelChoice::kScalar ? scalar_surfel_kernels()
+                                                        : best_surfel_kernels();
 }
 
 void check_texture(int width, int height) {
@@ -48,29 +47,17 @@ void check_arguments(const Camera& camera, const PosedSurfels& s) {
   EFFIGY_CHECK_EQ(s.uv.size(), 2 * n);
   EFFIGY_CHECK_EQ(s.uv_per_st.size(), 4 * n);
   EFFIGY_CHECK_EQ(s.frame.size(), 9 * n);
-  if (camera.width < 1 || camera.height < 1 || camera.width > kLargestImage ||
-      camera.height > kLargestImage)
-    throw Error("An image of " + std::to_string(camera.width) + " x " +
-                std::to_string(camera.height) + " pixels cannot be drawn; each side must be 1 to " +
-                std::to_string(kLargestImage) + ".");
-  const bool sound = std::isfinite(camera.fx) && std::isfinite(camera.fy) && camera.fx != 0.0 &&
-                     camera.fy != 0.0 && std::isfinite(camera.cx) && std::isfinite(camera.cy) &&
-                     camera.camera_from_world_rotation.allFinite() &&
-                     camera.camera_from_world_translation.allFinite();
-  if (!sound)
-    throw Error("The camera has a focal length of zero or a value that is not finite; check it.");
+  check_camera(camera);
 }
 
-SurfelTile make_tile(const Camera& camera, const TileBins& bins, int tile) {
-  SurfelTile t;
-  t.x = tile % bins.columns * kTileSize;
-  t.y = tile / bins.columns * kTileSize;
-  t.width = std::min(kTileSize, camera.width - t.x);
-  t.height = std::min(kTileSize, camera.height - t.y);
-  const uint32_t begin = bins.begin[static_cast<size_t>(tile)];
-  t.entries = bins.entries.data() + begin;
-  t.count = bins.begin[static_cast<size_t>(tile) + 1] - begin;
-  return t;
+// The lists of the tiles.
+void bin_surfels(const SurfelView& view, const Camera& camera, TileBins& bins) {
+  bin_splats(view.records.size(), camera.width, camera.height, false, bins,
+             [&](size_t i, const auto& emit) {
+               const SurfelRecord& r = view.records[i];
+               for_each_span(r.anchor_x, r.anchor_y, view.outlines[i], camera.width, camera.height,
+                             emit);
+             });
 }
 
 // Tiles [begin[slot], begin[slot + 1]) of each slot, about the same cost each.
@@ -98,10 +85,6 @@ void resize_planes(Planes& planes, int width, int height, int count) {
 }
 
 }  // namespace
-
-void choose_surfel_kernels(KernelChoice choice) {
-  g_choice = choice;
-}
 
 PlaybackTexture::PlaybackTexture(const MaterialTexture& texture)
     : width_(texture.width), height_(texture.height) {
@@ -203,7 +186,7 @@ namespace {
 
 // Draws all tiles with one kind of kernel.
 void draw_tiles(const Camera& camera, const SurfelScene& frame_scene,
-                void (*kernel)(const SurfelScene&, const SurfelTile&, SurfelWorkspace&),
+                void (*kernel)(const SurfelScene&, const SplatTile&, SurfelWorkspace&),
                 SurfelFrame::State& state, Planes& gbuffer) {
   SurfelScene scene = frame_scene;
   scene.gbuffer = gbuffer.data.data();
@@ -218,7 +201,7 @@ void draw_tiles(const Camera& camera, const SurfelScene& frame_scene,
   run_slots(slots, [&](int slot) {
     SurfelWorkspace& ws = *state.workspaces[static_cast<size_t>(slot)];
     for (int t = next++; t < tiles; t = next++) {
-      const SurfelTile tile = make_tile(camera, state.bins, t);
+      const SplatTile tile = make_tile(camera, state.bins, t);
       kernel(scene, tile, ws);
       state.tile_pairs[static_cast<size_t>(t)] = ws.pairs;
       state.tile_used[static_cast<size_t>(t)] = static_cast<uint32_t>(ws.used);
@@ -248,7 +231,7 @@ void render_surfels(const Camera& camera, const PosedSurfels& surfels,
   SurfelFrame::State& state = *frame.state;
   resize_planes(gbuffer, camera.width, camera.height, kGBufferPlanes);
   prepare_surfels(camera, surfels, options.near, options.low_pass, state.view);
-  bin_surfels(state.view, camera.width, camera.height, state.bins);
+  bin_surfels(state.view, camera, state.bins);
   const SurfelScene scene = make_scene(state.view, texture, options);
   draw_tiles(camera, scene, chosen_kernels().forward, state, gbuffer);
   state.can_go_back = true;
@@ -262,7 +245,7 @@ void render_surfels_playback(const Camera& camera, const PosedSurfels& surfels,
   SurfelFrame::State& state = *frame.state;
   resize_planes(gbuffer, camera.width, camera.height, kGBufferPlanes);
   prepare_surfels(camera, surfels, options.near, options.low_pass, state.view);
-  bin_surfels(state.view, camera.width, camera.height, state.bins);
+  bin_surfels(state.view, camera, state.bins);
   SurfelScene scene;
   scene.records = state.view.records.data();
   scene.outlines = state.view.outlines.data();
@@ -320,7 +303,7 @@ void render_surfels_backward(const Camera& camera, const PosedSurfels& surfels,
                                     b.sums.data()};
     SurfelWorkspace& ws = *state.workspaces[static_cast<size_t>(slot)];
     for (int t = split[static_cast<size_t>(slot)]; t < split[static_cast<size_t>(slot) + 1]; ++t) {
-      SurfelTile tile = make_tile(camera, state.bins, t);
+      SplatTile tile = make_tile(camera, state.bins, t);
       tile.count = state.tile_used[static_cast<size_t>(t)];
       if (state.tile_pairs[static_cast<size_t>(t)] == 0) continue;
       kernels.backward(scene, tile, ws, out);

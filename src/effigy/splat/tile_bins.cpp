@@ -1,127 +1,113 @@
 #include "effigy/splat/tile_bins.h"
 
-#include <algorithm>
-#include <cmath>
+#include <atomic>
+#include <string>
 
 #include "effigy/base/error.h"
-#include "effigy/base/threads.h"
+#include "effigy/splat/kernel_choice.h"
 
 namespace effigy {
 namespace {
 
-struct Range {
-  int first, last;  // inclusive; empty when last < first
-};
+constexpr int kLargestImage = 32768;
 
-// Pixels whose centres lie in [low, high], cut to the image.
-Range pixels_between(float low, float high, int size) {
-  const float limit = static_cast<float>(size);
-  return {static_cast<int>(std::ceil(std::clamp(low, 0.0f, limit) - 0.5f)),
-          std::min(size - 1, static_cast<int>(std::floor(std::clamp(high, -1.0f, limit) - 0.5f)))};
-}
-
-// Extends [left, right] by the x-range of the outline's ellipse in rows [top, bottom].
-void ellipse_in_band(const SurfelOutline& o, float top, float bottom, float& left, float& right) {
-  const float reach = 1.0f / std::sqrt(o.inverse_yy);
-  const float d0 = std::max(top - o.y, -reach), d1 = std::min(bottom - o.y, reach);
-  if (d0 > d1) return;
-  const auto half = [&](float dy) {
-    return std::sqrt(o.k * std::max(0.0f, 1.0f - dy * dy * o.inverse_yy));
-  };
-  // x + slope dy + half(dy) is concave with its maximum at extreme_dy; the left side mirrors it.
-  const float at_right = std::clamp(o.extreme_dy, d0, d1);
-  const float at_left = std::clamp(-o.extreme_dy, d0, d1);
-  right = std::max(right, o.x + o.slope * at_right + half(at_right));
-  left = std::min(left, o.x + o.slope * at_left - half(at_left));
-}
-
-void disc_in_band(const SurfelOutline& o, float top, float bottom, float& left, float& right) {
-  if (o.disc_squared <= 0.0f) return;
-  const float dy = std::clamp(0.0f, top - o.disc_y, bottom - o.disc_y);
-  const float rest = o.disc_squared - dy * dy;
-  if (rest < 0.0f) return;
-  left = std::min(left, o.disc_x - std::sqrt(rest));
-  right = std::max(right, o.disc_x + std::sqrt(rest));
-}
-
-// Rows of pixels that the outline can reach.
-Range rows_of(const SurfelRecord& r, const SurfelOutline& o, int height) {
-  if (o.everywhere) return {0, height - 1};
-  const float reach = 1.0f / std::sqrt(o.inverse_yy);
-  float top = o.y - reach, bottom = o.y + reach;
-  if (o.disc_squared > 0.0f) {
-    const float radius = std::sqrt(o.disc_squared);
-    top = std::min(top, o.disc_y - radius);
-    bottom = std::max(bottom, o.disc_y + radius);
-  }
-  return pixels_between(r.anchor_y + top, r.anchor_y + bottom, height);
-}
-
-// Calls emit(tile row, first tile column, last tile column) for every tile row the surfel reaches.
-template <typename Emit>
-void for_each_span(const SurfelRecord& r, const SurfelOutline& o, int width, int height,
-                   const Emit& emit) {
-  const Range rows = rows_of(r, o, height);
-  if (rows.last < rows.first) return;
-  for (int ty = rows.first / kTileSize; ty <= rows.last / kTileSize; ++ty) {
-    Range columns{0, width - 1};
-    if (!o.everywhere) {
-      const float base = static_cast<float>(ty * kTileSize) - r.anchor_y;
-      float left = 1e30f, right = -1e30f;
-      ellipse_in_band(o, base + 0.5f, base + kTileSize - 0.5f, left, right);
-      disc_in_band(o, base + 0.5f, base + kTileSize - 0.5f, left, right);
-      if (right < left) continue;
-      columns = pixels_between(r.anchor_x + left, r.anchor_x + right, width);
-      if (columns.last < columns.first) continue;
-    }
-    emit(ty, columns.first / kTileSize, columns.last / kTileSize);
-  }
-}
-
-// The spans of each run of kRun surfels.
-void find_spans(const SurfelView& view, int width, int height,
-                std::vector<std::vector<TileSpan>>& spans) {
-  constexpr size_t kRun = 512;
-  const size_t n = view.records.size();
-  spans.resize((n + kRun - 1) / kRun);
-  parallel_for(spans.size(), 1, [&](size_t begin, size_t end, int) {
-    for (size_t run = begin; run < end; ++run) {
-      spans[run].clear();
-      for (size_t i = run * kRun; i < std::min(n, (run + 1) * kRun); ++i)
-        for_each_span(
-            view.records[i], view.outlines[i], width, height, [&](int row, int first, int last) {
-              spans[run].push_back({static_cast<uint32_t>(i), static_cast<uint16_t>(row),
-                                    static_cast<uint16_t>(first), static_cast<uint16_t>(last)});
-            });
-    }
-  });
-}
+std::atomic<KernelChoice> g_choice{KernelChoice::kBest};
 
 }  // namespace
 
-void bin_surfels(const SurfelView& view, int width, int height, TileBins& bins) {
-  bins.columns = (width + kTileSize - 1) / kTileSize;
-  bins.rows = (height + kTileSize - 1) / kTileSize;
-  std::vector<uint64_t> count(static_cast<size_t>(bins.count()) + 1, 0);
-  find_spans(view, width, height, bins.spans);
-  for (const std::vector<TileSpan>& run : bins.spans)
-    for (const TileSpan& span : run) {
-      uint64_t* tile = count.data() + static_cast<size_t>(span.row) * bins.columns + 1;
-      for (int tx = span.first; tx <= span.last; ++tx) ++tile[tx];
-    }
-  for (size_t t = 1; t < count.size(); ++t) count[t] += count[t - 1];
-  if (count.back() > 0x7fffffffu)
-    throw Error(
-        "The surfels cover more than two thousand million tiles in all; they are far too "
-        "large for this image.");
-  bins.begin.assign(count.begin(), count.end());
-  bins.entries.resize(bins.begin.back());
-  bins.next.assign(bins.begin.begin(), bins.begin.end() - 1);
-  for (const std::vector<TileSpan>& run : bins.spans)
-    for (const TileSpan& span : run) {
-      uint32_t* tile = bins.next.data() + static_cast<size_t>(span.row) * bins.columns;
-      for (int tx = span.first; tx <= span.last; ++tx) bins.entries[tile[tx]++] = span.surfel;
-    }
+void choose_splat_kernels(KernelChoice choice) {
+  g_choice = choice;
 }
 
+KernelChoice splat_kernel_choice() {
+  return g_choice;
+}
+
+void check_camera(const Camera& camera) {
+  if (camera.width < 1 || camera.height < 1 || camera.width > kLargestImage ||
+      camera.height > kLargestImage)
+    throw Error("An image of " + std::to_string(camera.width) + " x " +
+                std::to_string(camera.height) + " pixels cannot be drawn; each side must be 1 to " +
+                std::to_string(kLargestImage) + ".");
+  const bool sound = std::isfinite(camera.fx) && std::isfinite(camera.fy) && camera.fx != 0.0 &&
+                     camera.fy != 0.0 && std::isfinite(camera.cx) && std::isfinite(camera.cy) &&
+                     camera.camera_from_world_rotation.allFinite() &&
+                     camera.camera_from_world_translation.allFinite();
+  if (!sound)
+    throw Error("The camera has a focal length of zero or a value that is not finite; check it.");
+}
+
+SplatTile make_tile(const Camera& camera, const TileBins& bins, int tile) {
+  SplatTile t;
+  t.x = tile % bins.columns * kTileSize;
+  t.y = tile / bins.columns * kTileSize;
+  t.width = std::min(kTileSize, camera.width - t.x);
+  t.height = std::min(kTileSize, camera.height - t.y);
+  const uint32_t begin = bins.begin[static_cast<size_t>(tile)];
+  t.entries = bins.entries.data() + begin;
+  t.count = bins.begin[static_cast<size_t>(tile) + 1] - begin;
+  return t;
+}
+
+namespace detail {
+
+void begin_bins(int width, int height, size_t slots, TileBins& bins) {
+  bins.columns = (width + kTileSize - 1) / kTileSize;
+  bins.rows = (height + kTileSize - 1) / kTileSize;
+  bins.spans.resize(slots);
+  bins.next.resize(slots);
+  for (size_t s = 0; s < slots; ++s) {
+    bins.spans[s].clear();
+    bins.next[s].assign(static_cast<size_t>(bins.count()), 0);
+  }
+}
+
+void finish_bins(size_t splats, bool places, TileBins& bins) {
+  const size_t tiles = static_cast<size_t>(bins.count()), slots = bins.spans.size();
+  bins.begin.resize(tiles + 1);
+  std::vector<uint64_t> place(slots + 1, 0);  // of each slot's first span
+  uint64_t sum = 0;
+  for (size_t t = 0; t < tiles; ++t) {
+    bins.begin[t] = static_cast<uint32_t>(sum);
+    for (size_t s = 0; s < slots; ++s) {
+      const uint32_t share = bins.next[s][t];
+      bins.next[s][t] = static_cast<uint32_t>(sum);
+      sum += share;
+      place[s + 1] += share;
+    }
+    if (sum > 0x7fffffffu)
+      throw Error(
+          "The splats cover more than two thousand million tiles in all; they are far too "
+          "large for this image.");
+  }
+  bins.begin[tiles] = static_cast<uint32_t>(sum);
+  for (size_t s = 0; s < slots; ++s) place[s + 1] += place[s];
+  bins.entries.resize(sum);
+  bins.places.resize(places ? sum : 0);
+  bins.first_place.resize(places ? splats + 1 : 0);
+  run_slots(static_cast<int>(slots), [&](int slot) {
+    const auto s = static_cast<size_t>(slot);
+    auto at = static_cast<uint32_t>(place[s]);
+    size_t splat = splats * s / slots;
+    for (const TileSpan& span : bins.spans[s]) {
+      uint32_t* next =
+          bins.next[s].data() + static_cast<size_t>(span.row) * static_cast<size_t>(bins.columns);
+      if (!places) {
+        for (int tx = span.first; tx <= span.last; ++tx) bins.entries[next[tx]++] = span.splat;
+        continue;
+      }
+      while (splat <= span.splat) bins.first_place[splat++] = at;
+      for (int tx = span.first; tx <= span.last; ++tx) {
+        const uint32_t entry = next[tx]++;
+        bins.entries[entry] = span.splat;
+        bins.places[at++] = entry;
+      }
+    }
+    if (places)
+      while (splat < splats * (s + 1) / slots) bins.first_place[splat++] = at;
+  });
+  if (places) bins.first_place[splats] = static_cast<uint32_t>(sum);
+}
+
+}  // namespace detail
 }  // namespace effigy

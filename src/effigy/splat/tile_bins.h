@@ -1,34 +1,162 @@
-// Which surfels reach which tile. Internal to splat/.
+// Which splats reach which tile: shared by the surfel and the Gaussian rasterizer. Internal to
+// splat/.
 #pragma once
 
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
 #include <cstdint>
 #include <vector>
 
-#include "effigy/splat/surfel_prepare.h"
+#include "effigy/base/threads.h"
+#include "effigy/geometry/types.h"
 
 namespace effigy {
 
 inline constexpr int kTileSize = 16;  // pixels, both ways
+inline constexpr size_t kTilePixels = kTileSize * kTileSize;
 
-// Tiles first..last of a tile row that a surfel (index into SurfelView) reaches.
+// The region where a splat's alpha can reach 1/255, in pixels relative to its anchor: an ellipse
+// with centre (x, y), rows y + dy spanning x + slope dy -+ sqrt(k (1 - dy^2 inverse_yy)).
+struct EllipseOutline {
+  float x, y, slope, k, inverse_yy;
+  float extreme_dy;  // dy of the rightmost point
+  bool everywhere;   // no outline is known
+};
+
+// Tiles first..last of a tile row that a splat (index in order of depth) reaches.
 struct TileSpan {
-  uint32_t surfel;
+  uint32_t splat;
   uint16_t row, first, last;
 };
 
-// Lists of surfels (indices into SurfelView, nearest first) of every tile, row by row.
+// Lists of splats (indices in order of depth, nearest first) of every tile, row by row.
 struct TileBins {
   int columns = 0, rows = 0;
   std::vector<uint32_t> begin;    // columns * rows + 1
-  std::vector<uint32_t> entries;  // indices into SurfelView::records
-  // Scratch of bin_surfels, kept to keep its memory: spans of runs of surfels, in order.
+  std::vector<uint32_t> entries;  // splats
+  // Only when asked for: the entries of splat k are at places[first_place[k] ..
+  // first_place[k + 1]).
+  std::vector<uint32_t> first_place, places;
+  // Scratch of bin_splats, kept to keep its memory; of every slot.
   std::vector<std::vector<TileSpan>> spans;
-  std::vector<uint32_t> next;
+  std::vector<std::vector<uint32_t>> next;
   int count() const { return columns * rows; }
 };
 
-// A surfel is in a tile's list exactly when its outline contains, within a fraction of a pixel, a
-// pixel centre of the tile's rows and columns.
-void bin_surfels(const SurfelView& view, int width, int height, TileBins& bins);
+// A tile of an image and the splats that reach it.
+struct SplatTile {
+  int x = 0, y = 0, width = 0, height = 0;  // pixels; width and height <= kTileSize
+  const uint32_t* entries = nullptr;
+  size_t count = 0;
+};
+SplatTile make_tile(const Camera& camera, const TileBins& bins, int tile);
+
+// Throws Error for an image that is empty or too large, or a camera that cannot draw.
+void check_camera(const Camera& camera);
+
+namespace detail {
+
+// Sizes the lists of `slots` slots.
+void begin_bins(int width, int height, size_t slots, TileBins& bins);
+// From each slot's spans and counts (next) to the lists.
+void finish_bins(size_t splats, bool places, TileBins& bins);
+
+}  // namespace detail
+
+// Fills the lists of `splats` splats. find(splat, emit) calls emit(tile row, first column, last
+// column) for every row of tiles that the splat reaches; it is called from several threads.
+template <class Find>
+void bin_splats(size_t splats, int width, int height, bool places, TileBins& bins,
+                const Find& find) {
+  constexpr size_t kGrain = 2048;
+  const size_t slots = std::clamp<size_t>(splats / kGrain, 1, static_cast<size_t>(thread_count()));
+  detail::begin_bins(width, height, slots, bins);
+  run_slots(static_cast<int>(slots), [&](int slot) {
+    const auto s = static_cast<size_t>(slot);
+    std::vector<TileSpan>& spans = bins.spans[s];
+    uint32_t* const counts = bins.next[s].data();
+    const size_t end = splats * (s + 1) / slots;
+    for (size_t i = splats * s / slots; i < end; ++i)
+      find(i, [&](int row, int first, int last) {
+        spans.push_back({static_cast<uint32_t>(i), static_cast<uint16_t>(row),
+                         static_cast<uint16_t>(first), static_cast<uint16_t>(last)});
+        for (int tx = first; tx <= last; ++tx) ++counts[row * bins.columns + tx];
+      });
+  });
+  detail::finish_bins(splats, places, bins);
+}
+
+// Pixels first..last whose centres lie in [low, high], cut to the image; none when last < first.
+struct PixelRange {
+  int first, last;
+};
+inline PixelRange pixels_between(float low, float high, int size) {
+  const float limit = static_cast<float>(size);
+  return {static_cast<int>(std::ceil(std::clamp(low, 0.0f, limit) - 0.5f)),
+          std::min(size - 1, static_cast<int>(std::floor(std::clamp(high, -1.0f, limit) - 0.5f)))};
+}
+
+// Extends [left, right] by the x-range of the ellipse in rows [top, bottom]; `reach`: half its
+// height.
+inline void ellipse_in_band(const EllipseOutline& o, float reach, float top, float bottom,
+                            float& left, float& right) {
+  const float d0 = std::max(top - o.y, -reach), d1 = std::min(bottom - o.y, reach);
+  if (d0 > d1) return;
+  const auto half = [&](float dy) {
+    return std::sqrt(o.k * std::max(0.0f, 1.0f - dy * dy * o.inverse_yy));
+  };
+  // x + slope dy + half(dy) is concave with its maximum at extreme_dy; the left side mirrors it.
+  const float at_right = std::clamp(o.extreme_dy, d0, d1);
+  const float at_left = std::clamp(-o.extreme_dy, d0, d1);
+  right = std::max(right, o.x + o.slope * at_right + half(at_right));
+  left = std::min(left, o.x + o.slope * at_left - half(at_left));
+}
+
+// Calls emit(tile row, first tile column, last tile column) for every row of tiles in which the
+// outline contains, within a fraction of a pixel, a pixel centre. Outline: an EllipseOutline, which
+// may also have a disc (disc_x, disc_y, disc_squared).
+template <class Outline, class Emit>
+void for_each_span(float anchor_x, float anchor_y, const Outline& o, int width, int height,
+                   const Emit& emit) {
+  constexpr bool kDisc = requires {
+    o.disc_squared;
+  };
+  PixelRange rows{0, height - 1};
+  const float reach = o.everywhere ? 0.0f : 1.0f / std::sqrt(o.inverse_yy);
+  if (!o.everywhere) {
+    float top = o.y - reach, bottom = o.y + reach;
+    if constexpr (kDisc) {
+      if (o.disc_squared > 0.0f) {
+        const float radius = std::sqrt(o.disc_squared);
+        top = std::min(top, o.disc_y - radius);
+        bottom = std::max(bottom, o.disc_y + radius);
+      }
+    }
+    rows = pixels_between(anchor_y + top, anchor_y + bottom, height);
+  }
+  if (rows.last < rows.first) return;
+  for (int ty = rows.first / kTileSize; ty <= rows.last / kTileSize; ++ty) {
+    PixelRange columns{0, width - 1};
+    if (!o.everywhere) {
+      const float base = static_cast<float>(ty * kTileSize) - anchor_y;
+      const float top = base + 0.5f, bottom = base + kTileSize - 0.5f;
+      float left = 1e30f, right = -1e30f;
+      ellipse_in_band(o, reach, top, bottom, left, right);
+      if constexpr (kDisc) {
+        const float dy = std::clamp(0.0f, top - o.disc_y, bottom - o.disc_y);
+        const float rest = o.disc_squared - dy * dy;
+        if (o.disc_squared > 0.0f && rest >= 0.0f) {
+          left = std::min(left, o.disc_x - std::sqrt(rest));
+          right = std::max(right, o.disc_x + std::sqrt(rest));
+        }
+      }
+      if (right < left) continue;
+      columns = pixels_between(anchor_x + left, anchor_x + right, width);
+      if (columns.last < columns.first) continue;
+    }
+    emit(ty, columns.first / kTileSize, columns.last / kTileSize);
+  }
+}
 
 }  // namespace effigy

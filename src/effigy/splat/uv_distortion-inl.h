@@ -24,11 +24,11 @@ constexpr size_t kVectors = kTilePixels / kLanes;
 constexpr size_t kMostListed = 2400 * kLanes;
 
 // Room for one list, in floats.
-HWY_INLINE size_t list_stride(const SurfelTile& tile) {
+HWY_INLINE size_t list_stride(const SplatTile& tile) {
   return std::min(tile.count, kMostListed) * kEntry;
 }
 
-HWY_INLINE void begin_lists(const SurfelTile& tile, bool for_backward, SurfelWorkspace& ws) {
+HWY_INLINE void begin_lists(const SplatTile& tile, bool for_backward, SurfelWorkspace& ws) {
   ws.list_stride = list_stride(tile);
   ws.list.reserve(kVectors * ws.list_stride);
   if (for_backward) ws.d_list.reserve(kVectors * ws.list_stride);

@@ -1,0 +1,22 @@
+// Order of splats along the view. Internal to splat/.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+namespace effigy {
+
+// Sorts the splats whose `seen` is set by depth, ties by index. Keeps its memory between frames.
+class DepthSort {
+ public:
+  // `order` becomes the indices of the splats that are seen, nearest first. Depths are compared in
+  // double precision.
+  void sort(const std::vector<uint8_t>& seen, const std::vector<double>& depth,
+            std::vector<uint32_t>& order);
+
+ private:
+  std::vector<uint32_t> keys_, index_, next_keys_, next_;
+  std::vector<uint32_t> count_;  // of every slot and bucket
+};
+
+}  // namespace effigy
