@@ -4,33 +4,19 @@
 
 #include <gtest/gtest.h>
 
-#include <hwy/targets.h>
 #include <bit>
 #include <chrono>
 #include <cstdio>
 
 #include "effigy/base/error.h"
 #include "effigy/base/threads.h"
-#include "effigy/splat/kernel_choice.h"
 #include "effigy/splat/surfel_kernels.h"
+#include "splat/kernel_targets.h"
 #include "splat/oracle.h"
 #include "splat/random_scenes.h"
 
 namespace effigy {
 namespace {
-
-// Runs the kernels of one instruction set; 0: the separately compiled one-lane source.
-class UseTarget {
- public:
-  explicit UseTarget(int64_t target) {
-    choose_splat_kernels(target == 0 ? KernelChoice::kScalar : KernelChoice::kBest);
-    hwy::SetSupportedTargetsForTest(target);
-  }
-  ~UseTarget() {
-    choose_splat_kernels(KernelChoice::kBest);
-    hwy::SetSupportedTargetsForTest(0);
-  }
-};
 
 std::vector<int64_t> all_targets() {
   std::vector<int64_t> targets = surfel_kernel_targets();
@@ -107,7 +93,7 @@ TEST_P(SurfelKernelTest, ForwardAgreesWithTheOracle) {
   const oracle::Image expected = oracle::render(oracle_scene(scene));
   for (const int64_t target : all_targets()) {
     const UseTarget use(target);
-    SCOPED_TRACE(target == 0 ? "one lane" : hwy::TargetName(target));
+    SCOPED_TRACE(target_name(target));
     if (target != 0) {
       EXPECT_STREQ(best_surfel_kernels().target, hwy::TargetName(target));
     }
@@ -205,7 +191,7 @@ TEST_P(SurfelKernelTest, GradientAgreesWithFiniteDifferences) {
   const std::vector<double> texels = differences.of_texels(23);
   for (const int64_t target : all_targets()) {
     const UseTarget use(target);
-    SCOPED_TRACE(target == 0 ? "one lane" : hwy::TargetName(target));
+    SCOPED_TRACE(target_name(target));
     const Gradients g = go_back(scene, draw(scene), upstream);
     for (const Row& row : rows) {
       size_t known = 0;
@@ -249,7 +235,7 @@ TEST(SurfelKernelSpeed, TheBestKernelsAreSeveralTimesFasterThanOneLane) {
       best.backward = std::min(best.backward, backward.count() / static_cast<double>(pairs));
     }
     std::printf("%-9s forward %6.2f, backward %6.2f ns per pair (%lld pairs)\n",
-                target == 0 ? "one lane" : hwy::TargetName(target), best.forward, best.backward,
+                target_name(target).c_str(), best.forward, best.backward,
                 static_cast<long long>(pairs));
     return best;
   };

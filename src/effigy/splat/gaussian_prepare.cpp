@@ -1,0 +1,350 @@
+#include "effigy/splat/gaussian_prepare.h"
+
+#include <cmath>
+
+#include "effigy/base/simd.h"
+#include "effigy/base/threads.h"
+
+namespace effigy {
+namespace {
+
+constexpr double kMinAlpha = 1.0 / 255.0;
+constexpr double kHalfLog2E = 0.72134752044448170368;  // log2(e) / 2
+// Ellipses are drawn a little larger, so that rounding never cuts off a pixel (squared pixels).
+constexpr double kOutlineMargin = 0.01;
+// Outlines larger than this many pixels are not worth computing.
+constexpr double kLargestOutline = 1e6;
+// Variances (squared pixels) beyond which single precision could overflow.
+constexpr double kSmallest = 1e-16, kLargest = 1e20;
+// Exponents that 2^x can still represent; alpha is clamped far below.
+constexpr double kLargestLog2Opacity = 100.0;
+
+// Gaussians are projected a block at a time, every quantity an array over the block, so that the
+// loops become vector instructions.
+constexpr size_t kBlock = 32;
+using Lane = double[kBlock];
+
+struct Inputs {
+  Lane center[3], rotation[4], scale[3];
+};
+
+// The camera with its matrix as plain numbers.
+struct Projector {
+  double w[9], t[3], fx, fy, cx, cy, blur;
+
+  Projector(const Camera& camera, const GaussianRasterOptions& options)
+      : fx(camera.fx), fy(camera.fy), cx(camera.cx), cy(camera.cy), blur(options.blur) {
+    for (int r = 0; r < 3; ++r) {
+      for (int c = 0; c < 3; ++c) w[3 * r + c] = camera.camera_from_world_rotation(r, c);
+      t[r] = camera.camera_from_world_translation[r];
+    }
+  }
+};
+
+// A block in camera and image space.
+struct Projected {
+  Lane x, y, z, px, py;  // camera space, x / z, y / z
+  Lane rotation[9];      // of the quaternion over its length
+  Lane inverse_length;   // of the quaternion
+  Lane jw[6];            // J W
+  Lane jwr[6];           // J W R
+  Lane v[6];             // J W R diag(scale): C = v v^T + blur I
+  Lane xx, xy, yy;       // C
+  Lane det, bare_det;    // of C, and without the blur
+  Lane slope, k;
+};
+
+void load_block(const GaussianView& g, const uint32_t* index, size_t count, Inputs& in) {
+  for (size_t i = 0; i < kBlock; ++i) {
+    const size_t s = index[i < count ? i : 0];
+    for (size_t k = 0; k < 3; ++k) in.center[k][i] = static_cast<double>(g.center[3 * s + k]);
+    for (size_t k = 0; k < 4; ++k) in.rotation[k][i] = static_cast<double>(g.rotation[4 * s + k]);
+    for (size_t k = 0; k < 3; ++k) in.scale[k][i] = static_cast<double>(g.scale[3 * s + k]);
+  }
+}
+
+[[gnu::always_inline]] inline void project(const Projector& p, const Inputs& in, Projected& out) {
+  for (size_t i = 0; i < kBlock; ++i) {
+    const double a = in.center[0][i], b = in.center[1][i], c = in.center[2][i];
+    const double x = p.w[0] * a + p.w[1] * b + p.w[2] * c + p.t[0];
+    const double y = p.w[3] * a + p.w[4] * b + p.w[5] * c + p.t[1];
+    const double z = p.w[6] * a + p.w[7] * b + p.w[8] * c + p.t[2];
+    const double inverse = 1.0 / z;
+    out.x[i] = x;
+    out.y[i] = y;
+    out.z[i] = z;
+    const double px = x * inverse, py = y * inverse;
+    out.px[i] = px;
+    out.py[i] = py;
+    const double jx = p.fx * inverse, jy = p.fy * inverse;
+    for (int k = 0; k < 3; ++k) {
+      out.jw[k][i] = jx * (p.w[k] - px * p.w[6 + k]);
+      out.jw[3 + k][i] = jy * (p.w[3 + k] - py * p.w[6 + k]);
+    }
+  }
+  for (size_t i = 0; i < kBlock; ++i) {
+    const double q0 = in.rotation[0][i], q1 = in.rotation[1][i];
+    const double q2 = in.rotation[2][i], q3 = in.rotation[3][i];
+    const double inverse = 1.0 / std::sqrt(q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3);
+    const double w = q0 * inverse, x = q1 * inverse, y = q2 * inverse, z = q3 * inverse;
+    out.inverse_length[i] = inverse;
+    out.rotation[0][i] = 1.0 - 2.0 * (y * y + z * z);
+    out.rotation[1][i] = 2.0 * (x * y - w * z);
+    out.rotation[2][i] = 2.0 * (x * z + w * y);
+    out.rotation[3][i] = 2.0 * (x * y + w * z);
+    out.rotation[4][i] = 1.0 - 2.0 * (x * x + z * z);
+    out.rotation[5][i] = 2.0 * (y * z - w * x);
+    out.rotation[6][i] = 2.0 * (x * z - w * y);
+    out.rotation[7][i] = 2.0 * (y * z + w * x);
+    out.rotation[8][i] = 1.0 - 2.0 * (x * x + y * y);
+  }
+  for (int r = 0; r < 2; ++r)
+    for (int c = 0; c < 3; ++c)
+      for (size_t i = 0; i < kBlock; ++i) {
+        const double sum = out.jw[3 * r][i] * out.rotation[c][i] +
+                           out.jw[3 * r + 1][i] * out.rotation[3 + c][i] +
+                           out.jw[3 * r + 2][i] * out.rotation[6 + c][i];
+        out.jwr[3 * r + c][i] = sum;
+        out.v[3 * r + c][i] = sum * in.scale[c][i];
+      }
+  for (size_t i = 0; i < kBlock; ++i) {
+    const double a = out.v[0][i], b = out.v[1][i], c = out.v[2][i];
+    const double d = out.v[3][i], e = out.v[4][i], f = out.v[5][i];
+    const double xx = a * a + b * b + c * c, yy = d * d + e * e + f * f;
+    const double xy = a * d + b * e + c * f;
+    // det(v v^T) = |v_0 x v_1|^2: nothing cancels when the ellipse is thin.
+    const double m0 = b * f - c * e, m1 = c * d - a * f, m2 = a * e - b * d;
+    const double bare = m0 * m0 + m1 * m1 + m2 * m2;
+    const double det = bare + p.blur * (xx + yy) + p.blur * p.blur;
+    out.xx[i] = xx + p.blur;
+    out.xy[i] = xy;
+    out.yy[i] = yy + p.blur;
+    out.bare_det[i] = bare;
+    out.det[i] = det;
+    const double inverse = 1.0 / (yy + p.blur);
+    out.slope[i] = xy * inverse;
+    out.k[i] = det * inverse;
+  }
+}
+
+// Fills the record of Gaussian `i` of a block; false when it cannot be seen.
+bool make_record(const Camera& camera, const Projected& p, size_t i, double opacity, double near,
+                 bool compensate, GaussianRecord& r) {
+  if (!(p.z[i] > near) || !(p.k[i] > kSmallest) || !(p.yy[i] > kSmallest)) return false;
+  if (compensate) opacity *= std::sqrt(p.bare_det[i] / p.det[i]);
+  if (!(opacity >= kMinAlpha) || !(opacity < 1e30)) return false;
+  const double mean_x = camera.fx * p.px[i] + camera.cx, mean_y = camera.fy * p.py[i] + camera.cy;
+  // Also what is not finite: comparisons with NaN are false.
+  if (!(std::abs(mean_x) + std::abs(mean_y) < 1e15) || !(p.xx[i] + p.yy[i] < kLargest))
+    return false;
+  const double log2_opacity = static_cast<double>(std::log2(static_cast<float>(opacity)));
+  const double reach2 = std::log2(1.0 / kMinAlpha) / kHalfLog2E + log2_opacity / kHalfLog2E;
+  const double xx = reach2 * p.xx[i] + kOutlineMargin, yy = reach2 * p.yy[i] + kOutlineMargin;
+  const double xy = reach2 * p.xy[i];
+  const double half_x = std::sqrt(xx), half_y = std::sqrt(yy);
+  if (!(mean_x + half_x >= 0.5) || !(mean_x - half_x <= camera.width - 0.5) ||
+      !(mean_y + half_y >= 0.5) || !(mean_y - half_y <= camera.height - 0.5))
+    return false;
+  r.anchor_x = static_cast<float>(std::nearbyint(mean_x));
+  r.anchor_y = static_cast<float>(std::nearbyint(mean_y));
+  EllipseOutline& o = r.outline;
+  o.x = static_cast<float>(mean_x - static_cast<double>(r.anchor_x));
+  o.y = static_cast<float>(mean_y - static_cast<double>(r.anchor_y));
+  o.slope = static_cast<float>(xy / yy);
+  o.k = static_cast<float>(std::max(xx - xy * xy / yy, kOutlineMargin));
+  o.inverse_yy = static_cast<float>(1.0 / yy);
+  o.extreme_dy = static_cast<float>(xy / half_x);
+  o.everywhere = !(xx + yy < kLargestOutline * kLargestOutline);
+  const double a = std::sqrt(kHalfLog2E / p.k[i]);
+  r.a = static_cast<float>(a);
+  r.b = static_cast<float>(-a * p.slope[i]);
+  r.c = static_cast<float>(std::sqrt(kHalfLog2E / p.yy[i]));
+  r.log2_opacity = static_cast<float>(std::min(log2_opacity, kLargestLog2Opacity));
+  return true;
+}
+
+bool finite(std::span<const float> values, size_t first, size_t count) {
+  float sum = 0.0f;
+  for (size_t k = first; k < first + count; ++k) sum += std::abs(values[k]);
+  return sum <= 1e30f;
+}
+
+EFFIGY_CLONES
+void project_range(const Projector& projector, const Camera& camera, const GaussianView& g,
+                   const GaussianRasterOptions& options, size_t begin, size_t end,
+                   GaussianList& list) {
+  Inputs in;
+  Projected out;
+  uint32_t index[kBlock];
+  for (size_t first = begin; first < end; first += kBlock) {
+    const size_t count = std::min(kBlock, end - first);
+    for (size_t i = 0; i < count; ++i) index[i] = static_cast<uint32_t>(first + i);
+    load_block(g, index, count, in);
+    project(projector, in, out);
+    for (size_t i = 0; i < count; ++i) {
+      const size_t s = first + i;
+      GaussianRecord& r = list.all_records[s];
+      r.source = static_cast<uint32_t>(s);
+      list.depth[s] = out.z[i];
+      list.seen[s] =
+          make_record(camera, out, i, static_cast<double>(g.opacity[s]),
+                      static_cast<double>(options.near), options.compensate, r) &&
+          finite(g.features, s * static_cast<size_t>(g.channels), static_cast<size_t>(g.channels));
+    }
+  }
+}
+
+// Derivatives with respect to the inputs of a block.
+struct Derivatives {
+  Lane center[3], rotation[4], scale[3], log_opacity;
+};
+
+// `sums`: the GaussianSums of the block.
+[[gnu::always_inline]] inline void project_backward(const Projector& p, const Inputs& in,
+                                                    const Projected& f, bool compensate,
+                                                    const Lane* sums, Derivatives& d) {
+  constexpr double kInverse = 1.0 / kHalfLog2E;
+  const double inverse_scale = std::sqrt(kInverse);  // of the kernels' u and v
+  for (size_t i = 0; i < kBlock; ++i) {
+    const double one = sums[GaussianSums::kOne][i];
+    const double u = inverse_scale * sums[GaussianSums::kU][i];
+    const double v = inverse_scale * sums[GaussianSums::kV][i];
+    const double uu = kInverse * sums[GaussianSums::kUU][i];
+    const double uv = kInverse * sums[GaussianSums::kUV][i];
+    const double vv = kInverse * sums[GaussianSums::kVV][i];
+    d.log_opacity[i] = one;
+    // C^-1 = L L^T, (u, v) = L^T d: d ln alpha / d mean = L (u, v), d / d C = L (u, v)(u, v)^T
+    // L^T/2.
+    const double l00 = 1.0 / std::sqrt(f.k[i]), l10 = -f.slope[i] * l00;
+    const double l11 = 1.0 / std::sqrt(f.yy[i]);
+    const double mean_x = l00 * u, mean_y = l10 * u + l11 * v;
+    double gxx = 0.5 * l00 * l00 * uu;
+    double gxy = 0.5 * l00 * (l10 * uu + l11 * uv);
+    double gyy = 0.5 * (l10 * l10 * uu + 2.0 * l10 * l11 * uv + l11 * l11 * vv);
+    if (compensate) {
+      // ln of the factor is (ln bare_det - ln det) / 2.
+      const double bare = 0.5 * one / f.bare_det[i], full = 0.5 * one / f.det[i];
+      gxx += bare * (f.yy[i] - p.blur) - full * f.yy[i];
+      gyy += bare * (f.xx[i] - p.blur) - full * f.xx[i];
+      gxy -= (bare - full) * f.xy[i];
+    }
+    // C = v v^T, v = J W R diag(scale).
+    double d_jwr[6], d_jw[6];
+    for (int k = 0; k < 3; ++k) {
+      const double d0 = 2.0 * (gxx * f.v[k][i] + gxy * f.v[3 + k][i]);
+      const double d1 = 2.0 * (gxy * f.v[k][i] + gyy * f.v[3 + k][i]);
+      d.scale[k][i] = d0 * f.jwr[k][i] + d1 * f.jwr[3 + k][i];
+      d_jwr[k] = d0 * in.scale[k][i];
+      d_jwr[3 + k] = d1 * in.scale[k][i];
+    }
+    double g[9];
+    for (int r = 0; r < 3; ++r) {
+      for (int c = 0; c < 3; ++c)
+        g[3 * r + c] = f.jw[r][i] * d_jwr[c] + f.jw[3 + r][i] * d_jwr[3 + c];
+      for (int h = 0; h < 2; ++h)
+        d_jw[3 * h + r] = d_jwr[3 * h] * f.rotation[3 * r][i] +
+                          d_jwr[3 * h + 1] * f.rotation[3 * r + 1][i] +
+                          d_jwr[3 * h + 2] * f.rotation[3 * r + 2][i];
+    }
+    // J W = (fx / z)(W_0 - (x / z) W_2), (fy / z)(W_1 - (y / z) W_2); mean = fx x / z + cx, ...
+    const double inverse_z = 1.0 / f.z[i];
+    const double dot0 = d_jw[0] * p.w[6] + d_jw[1] * p.w[7] + d_jw[2] * p.w[8];
+    const double dot1 = d_jw[3] * p.w[6] + d_jw[4] * p.w[7] + d_jw[5] * p.w[8];
+    const double d_px = p.fx * (mean_x - inverse_z * dot0);
+    const double d_py = p.fy * (mean_y - inverse_z * dot1);
+    double d_log = 0.0;  // of 1 / z in front of both rows
+    for (int k = 0; k < 3; ++k) d_log += d_jw[k] * f.jw[k][i] + d_jw[3 + k] * f.jw[3 + k][i];
+    const double dx = d_px * inverse_z, dy = d_py * inverse_z;
+    const double dz = -inverse_z * (d_px * f.px[i] + d_py * f.py[i] + d_log);
+    for (int k = 0; k < 3; ++k) d.center[k][i] = p.w[k] * dx + p.w[3 + k] * dy + p.w[6 + k] * dz;
+    // R of q / |q|.
+    const double n = f.inverse_length[i];
+    const double w = n * in.rotation[0][i], x = n * in.rotation[1][i];
+    const double y = n * in.rotation[2][i], z = n * in.rotation[3][i];
+    const double dw = 2.0 * (x * (g[7] - g[5]) + y * (g[2] - g[6]) + z * (g[3] - g[1]));
+    const double d1 =
+        2.0 * (y * (g[1] + g[3]) + z * (g[2] + g[6]) + w * (g[7] - g[5]) - 2.0 * x * (g[4] + g[8]));
+    const double d2 =
+        2.0 * (x * (g[1] + g[3]) + z * (g[5] + g[7]) + w * (g[2] - g[6]) - 2.0 * y * (g[0] + g[8]));
+    const double d3 =
+        2.0 * (x * (g[2] + g[6]) + y * (g[5] + g[7]) + w * (g[3] - g[1]) - 2.0 * z * (g[0] + g[4]));
+    const double along = dw * w + d1 * x + d2 * y + d3 * z;
+    d.rotation[0][i] = n * (dw - along * w);
+    d.rotation[1][i] = n * (d1 - along * x);
+    d.rotation[2][i] = n * (d2 - along * y);
+    d.rotation[3][i] = n * (d3 - along * z);
+  }
+}
+
+EFFIGY_CLONES
+void backward_range(const Projector& projector, const GaussianView& g, bool compensate,
+                    const GaussianList& list, size_t begin, size_t end, const EntrySums& entries,
+                    const GaussianGradients& gradients) {
+  Inputs in;
+  Projected out;
+  Derivatives d;
+  Lane sums[GaussianSums::kCount];
+  uint32_t index[kBlock];
+  const size_t channels = static_cast<size_t>(g.channels);
+  const size_t stride = GaussianSums::kCount + channels;
+  std::vector<double> all(stride);
+  double* const total = all.data();
+  for (size_t first = begin; first < end; first += kBlock) {
+    const size_t count = std::min(kBlock, end - first);
+    for (size_t i = 0; i < kBlock; ++i) {
+      std::fill_n(total, stride, 0.0);
+      if (i < count) {
+        index[i] = list.records[first + i].source;
+        entries.add(first + i, total);
+        for (size_t c = 0; c < channels; ++c)
+          gradients.features[channels * index[i] + c] +=
+              static_cast<float>(total[GaussianSums::kCount + c]);
+      }
+      for (size_t k = 0; k < GaussianSums::kCount; ++k) sums[k][i] = total[k];
+    }
+    load_block(g, index, count, in);
+    project(projector, in, out);
+    project_backward(projector, in, out, compensate, sums, d);
+    for (size_t i = 0; i < count; ++i) {
+      const size_t s = index[i];
+      for (size_t k = 0; k < 3; ++k)
+        gradients.center[3 * s + k] += static_cast<float>(d.center[k][i]);
+      for (size_t k = 0; k < 4; ++k)
+        gradients.rotation[4 * s + k] += static_cast<float>(d.rotation[k][i]);
+      for (size_t k = 0; k < 3; ++k)
+        gradients.scale[3 * s + k] += static_cast<float>(d.scale[k][i]);
+      gradients.opacity[s] +=
+          static_cast<float>(d.log_opacity[i] / static_cast<double>(g.opacity[s]));
+    }
+  }
+}
+
+}  // namespace
+
+void prepare_gaussians(const Camera& camera, const GaussianView& gaussians,
+                       const GaussianRasterOptions& options, GaussianList& list) {
+  const size_t n = gaussians.count();
+  const Projector projector(camera, options);
+  list.all_records.resize(n);
+  list.seen.resize(n);
+  list.depth.resize(n);
+  parallel_for(n, 1024, [&](size_t begin, size_t end, int) {
+    project_range(projector, camera, gaussians, options, begin, end, list);
+  });
+  list.sort.sort(list.seen, list.depth, list.order);
+  list.records.resize(list.order.size());
+  parallel_for(list.order.size(), 4096, [&](size_t begin, size_t end, int) {
+    for (size_t k = begin; k < end; ++k) list.records[k] = list.all_records[list.order[k]];
+  });
+}
+
+void gaussians_backward(const Camera& camera, const GaussianView& gaussians,
+                        const GaussianRasterOptions& options, const GaussianList& list,
+                        const EntrySums& entries, const GaussianGradients& gradients) {
+  const Projector projector(camera, options);
+  parallel_for(list.records.size(), 512, [&](size_t begin, size_t end, int) {
+    backward_range(projector, gaussians, options.compensate, list, begin, end, entries, gradients);
+  });
+}
+
+}  // namespace effigy

@@ -1,0 +1,69 @@
+// From Gaussians to what the kernels read, and back for derivatives. Internal to splat/.
+//
+// With C = [[xx, xy], [xy, yy]], slope = xy / yy and k = det C / yy (the variance of x when y is
+// known), d^T C^-1 d = u^2 + v^2 with u = (dx - slope dy) / sqrt(k), v = dy / sqrt(yy). Unlike the
+// three numbers of C^-1 these lose nothing when the ellipse is long and thin; the backward kernel
+// sums moments of (u, v), so neither do the derivatives.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "effigy/splat/depth_sort.h"
+#include "effigy/splat/gaussian_raster.h"
+#include "effigy/splat/tile_bins.h"
+
+namespace effigy {
+
+// One visible Gaussian, as the kernels read it: alpha = min(0.99, 2^(log2_opacity - u^2 - v^2)),
+// u = a dx + b dy, v = c dy, (dx, dy) = pixel - anchor - (outline.x, outline.y).
+struct alignas(64) GaussianRecord {
+  float anchor_x, anchor_y;  // the mean rounded to whole pixels
+  EllipseOutline outline;    // its centre is the mean
+  float a, b, c;
+  float log2_opacity;
+  uint32_t source;  // index into GaussianView
+};
+
+struct GaussianList {
+  std::vector<GaussianRecord> records;  // by depth, ties by index
+  // Scratch of prepare_gaussians, kept to keep its memory; per Gaussian of the view.
+  std::vector<GaussianRecord> all_records;
+  std::vector<uint8_t> seen;
+  std::vector<double> depth;
+  std::vector<uint32_t> order;
+  DepthSort sort;
+};
+
+// Gaussians that can be seen, sorted by camera z.
+void prepare_gaussians(const Camera& camera, const GaussianView& gaussians,
+                       const GaussianRasterOptions& options, GaussianList& list);
+
+// What the backward kernel finds of one Gaussian in one tile: derivatives of the loss with respect
+// to ln alpha, summed over pixels, times moments of (u, v) as the kernels scale them; behind them
+// those with respect to the features.
+struct GaussianSums {
+  enum : int { kOne = 0, kU, kV, kUU, kUV, kVV, kCount };
+};
+
+// The sums of every entry of the tiles' lists, `stride` floats each.
+struct EntrySums {
+  const TileBins& bins;
+  const float* values;
+  size_t stride;
+
+  // Adds those of record k, tile by tile.
+  void add(size_t k, double* total) const {
+    for (uint32_t p = bins.first_place[k]; p < bins.first_place[k + 1]; ++p) {
+      const float* entry = values + bins.places[p] * stride;
+      for (size_t i = 0; i < stride; ++i) total[i] += static_cast<double>(entry[i]);
+    }
+  }
+};
+
+// Adds the derivatives of all records to `gradients`.
+void gaussians_backward(const Camera& camera, const GaussianView& gaussians,
+                        const GaussianRasterOptions& options, const GaussianList& list,
+                        const EntrySums& entries, const GaussianGradients& gradients);
+
+}  // namespace effigy
