@@ -34,8 +34,9 @@ constexpr size_t kDerivatives = 2;
 // One Gaussian as a tile sees it.
 struct GaussianRow {
   Vf a, b, c, log2_opacity;
-  float dx0, dy0;  // centre of the tile's first pixel - mean
-  Reach reach;
+  Vf dy0;  // centre of the vector's pixels, moved to the first row - mean
+  HWY_ALIGN float au[kColumns * kLanes];  // a dx of every column of vectors
+  uint32_t reach[kWords];
 };
 
 HWY_INLINE void find_gaussian(const GaussianRecord& r, const SplatTile& tile, GaussianRow& row) {
@@ -47,17 +48,14 @@ HWY_INLINE void find_gaussian(const GaussianRecord& r, const SplatTile& tile, Ga
   row.b = set(r.b);
   row.c = set(r.c);
   row.log2_opacity = set(r.log2_opacity);
-  row.dx0 = x - o.x;
-  row.dy0 = y - o.y;
-  begin_reach(tile, o.everywhere, row.reach);
-  if (!o.everywhere) {
-    for (size_t k = 0; k < kTile; k += kLanes) {
-      Vf left, right;
-      ellipse_rows(o, hn::Iota(df, y + static_cast<float>(k)), left, right);
-      reach_rows(tile, k, left, right, set(-x), row.reach);
-    }
-  }
-  end_reach(tile, row.reach);
+  row.dy0 = hn::Add(lane_y(), set(y - o.y));
+  const Vf dx = hn::Add(lane_x(), set(x - o.x));
+  for (size_t j = 0; j < kColumns; ++j)
+    store(hn::Mul(row.a, hn::Add(dx, set(static_cast<float>(j * kWide)))), row.au + j * kLanes);
+  if (o.everywhere)
+    std::fill_n(row.reach, kWords, ~uint32_t{0});
+  else
+    vectors_in_ellipse(o, x, y, row.reach);
 }
 
 // One Gaussian met by a vector of pixels.
@@ -67,12 +65,12 @@ struct Meeting {
   Mf blended;        // lanes where it is blended
 };
 
-// `au`: a dx of the column; `transmittance` is replaced.
-HWY_INLINE Meeting meet(const GaussianRow& row, Vf au, float dy, float* transmittance, size_t at,
-                        Alive& alive) {
+// `transmittance` is replaced.
+HWY_INLINE Meeting meet(const GaussianRow& row, size_t vector, float* transmittance,
+                        VectorSet& alive) {
   Meeting m;
-  const Vf y = hn::Add(lane_y(), set(dy));
-  m.u = hn::MulAdd(row.b, y, au);
+  const Vf y = hn::Add(row.dy0, set(static_cast<float>(vector / kColumns * kTall)));
+  m.u = hn::MulAdd(row.b, y, load(row.au + vector % kColumns * kLanes));
   m.v = hn::Mul(row.c, y);
   const Vf exponent = hn::NegMulAdd(m.u, m.u, hn::NegMulAdd(m.v, m.v, row.log2_opacity));
   const Mf reached = hn::Ge(exponent, set(kLog2MinAlpha));
@@ -82,19 +80,23 @@ HWY_INLINE Meeting meet(const GaussianRow& row, Vf au, float dy, float* transmit
   const Mf enough = hn::Ge(m.after, set(kMinTransmittance));
   m.blended = hn::And(reached, enough);
   const Mf finished = hn::AndNot(enough, reached);
-  const Vf sign = hn::IfThenElseZero(finished, hn::SignBit(df));
-  const Vf next = hn::Or(hn::IfThenElse(m.blended, m.after, m.before), sign);
+  const Vf next = hn::IfThenElse(m.blended, m.after, m.before);
   store(next, transmittance);
-  finish(finished, hn::Gt(next, hn::Zero(df)), at, alive);
+  if (HWY_UNLIKELY(!hn::AllFalse(df, finished))) {
+    const Vf sign = hn::IfThenElseZero(finished, hn::SignBit(df));
+    const Vf ended = hn::Or(next, sign);
+    store(ended, transmittance);
+    if (hn::AllFalse(df, hn::Gt(ended, hn::Zero(df)))) alive.remove(vector);
+  }
   return m;
 }
 
-// Calls visit(entry, record, row, au, dy, at) for every vector of pixels that the tile's Gaussians
-// reach, front to back, and begin / end(entry, record) around each Gaussian. Returns the number of
-// entries walked.
+// Calls visit(row, vector) for every vector of pixels that the tile's Gaussians reach, front to
+// back, and begin / end(entry, record) around each Gaussian. Returns the number of entries walked.
 template <class Begin, class Visit, class End>
-HWY_INLINE size_t walk_gaussians(const GaussianScene& scene, const SplatTile& tile, Alive& alive,
-                                 const Begin& begin, const Visit& visit, const End& end) {
+HWY_INLINE size_t walk_gaussians(const GaussianScene& scene, const SplatTile& tile,
+                                 VectorSet& alive, const Begin& begin, const Visit& visit,
+                                 const End& end) {
   GaussianRow row;
   size_t e = 0;
   for (; e < tile.count && alive.count != 0; ++e) {
@@ -105,14 +107,9 @@ HWY_INLINE size_t walk_gaussians(const GaussianScene& scene, const SplatTile& ti
     }
     find_gaussian(r, tile, row);
     begin(e, r);
-    for (size_t j = 0; j < kColumns; ++j) {
-      uint32_t bits = row.reach.rows[j] & alive.rows[j];
-      if (bits == 0) continue;
-      const Vf au = hn::Mul(row.a, hn::Add(lane_x(), set(row.dx0 + static_cast<float>(j * kWide))));
-      for (; bits != 0; bits &= bits - 1) {
-        const size_t y = hwy::Num0BitsBelowLS1Bit_Nonzero32(bits);
-        visit(row, au, row.dy0 + static_cast<float>(y), (y / kTall * kColumns + j) * kLanes);
-      }
+    for (size_t w = 0; w < kWords; ++w) {
+      for (uint32_t bits = row.reach[w] & alive.words[w]; bits != 0; bits &= bits - 1)
+        visit(row, 32 * w + hwy::Num0BitsBelowLS1Bit_Nonzero32(bits));
     }
     end(e, r);
   }
@@ -139,15 +136,15 @@ void forward_tile(const GaussianScene& scene, const SplatTile& tile, GaussianWor
   ws.block.reserve(planes * kTilePixels);
   float* const block = ws.block.data();
   std::memset(block, 0, sizeof(float) * kTilePixels * planes);
-  Alive alive;
+  VectorSet alive;
   begin_tile(tile, planes, kT, block, alive);
   const float* feature = nullptr;
   Vi pairs = hn::Zero(di);
   const auto begin = [&](size_t, const GaussianRecord& r)
                          HWY_ATTR { feature = scene.features + r.source * channels; };
-  const auto visit = [&](const GaussianRow& row, Vf au, float dy, size_t at) HWY_ATTR {
-    float* const pixels = block + at * planes;
-    const Meeting m = meet(row, au, dy, pixels, at, alive);
+  const auto visit = [&](const GaussianRow& row, size_t vector) HWY_ATTR {
+    float* const pixels = block + vector * kLanes * planes;
+    const Meeting m = meet(row, vector, pixels, alive);
     pairs = hn::Sub(pairs, hn::BitCast(di, hn::VecFromMask(df, m.blended)));
     const Vf w = hn::IfThenElseZero(m.blended, hn::Mul(m.alpha, m.before));
     float* const sums = pixels + kForwardFeatures * kLanes;
@@ -209,7 +206,6 @@ HWY_INLINE void load_derivatives(const GaussianScene& scene, const SplatTile& ti
 
 // Vectors of pixels that met one Gaussian, and what the later steps need of the meeting. u, v,
 // weight and alpha are finite or masked: alpha is 0 in lanes where nothing is blended.
-constexpr size_t kMostVectors = kTilePixels / kLanes;
 struct MetVectors {
   HWY_ALIGN float u[kTilePixels];
   HWY_ALIGN float v[kTilePixels];
@@ -217,7 +213,7 @@ struct MetVectors {
   HWY_ALIGN float alpha[kTilePixels];
   HWY_ALIGN float before[kTilePixels];
   HWY_ALIGN float d_w[kTilePixels];
-  float* pixels[kMostVectors];
+  float* pixels[kVectors];
   size_t count = 0;
 };
 
@@ -320,13 +316,13 @@ void backward_tile(const GaussianScene& scene, const SplatTile& tile, GaussianWo
   std::memset(sums, 0, sizeof(float) * rounded * (kLanes + 1));
   std::memset(block, 0, sizeof(float) * kTilePixels * planes);
   load_derivatives(scene, tile, planes, block);
-  Alive alive;
+  VectorSet alive;
   begin_tile(tile, planes, kT, block, alive);
   MetVectors met;
   const auto begin = [&](size_t, const GaussianRecord&) HWY_ATTR { met.count = 0; };
-  const auto visit = [&](const GaussianRow& row, Vf au, float dy, size_t at) HWY_ATTR {
-    float* const pixels = block + at * planes;
-    const Meeting m = meet(row, au, dy, pixels, at, alive);
+  const auto visit = [&](const GaussianRow& row, size_t vector) HWY_ATTR {
+    float* const pixels = block + vector * kLanes * planes;
+    const Meeting m = meet(row, vector, pixels, alive);
     if (hn::AllFalse(df, m.blended)) return;
     const size_t k = met.count++ * kLanes;
     met.pixels[k / kLanes] = pixels;

@@ -1,5 +1,6 @@
 #include "effigy/splat/gaussian_prepare.h"
 
+#include <bit>
 #include <cmath>
 
 #include "effigy/base/simd.h"
@@ -8,12 +9,14 @@
 namespace effigy {
 namespace {
 
-constexpr double kMinAlpha = 1.0 / 255.0;
-constexpr double kHalfLog2E = 0.72134752044448170368;  // log2(e) / 2
+constexpr float kMinAlpha = 1.0f / 255.0f;
+constexpr double kLog2OverMinAlpha = 7.9943534368588575;  // log2(255)
+constexpr double kRoundingShift = 6755399441055744.0;     // 1.5 * 2^52
+constexpr double kHalfLog2E = 0.72134752044448170368;     // log2(e) / 2
 // Ellipses are drawn a little larger, so that rounding never cuts off a pixel (squared pixels).
 constexpr double kOutlineMargin = 0.01;
 // Outlines larger than this many pixels are not worth computing.
-constexpr double kLargestOutline = 1e6;
+constexpr float kLargestOutline = 1e6f;
 // Variances (squared pixels) beyond which single precision could overflow.
 constexpr double kSmallest = 1e-16, kLargest = 1e20;
 // Exponents that 2^x can still represent; alpha is clamped far below.
@@ -127,40 +130,98 @@ void load_block(const GaussianView& g, const uint32_t* index, size_t count, Inpu
   }
 }
 
-// Fills the record of Gaussian `i` of a block; false when it cannot be seen.
-bool make_record(const Camera& camera, const Projected& p, size_t i, double opacity, double near,
-                 bool compensate, GaussianRecord& r) {
-  if (!(p.z[i] > near) || !(p.k[i] > kSmallest) || !(p.yy[i] > kSmallest)) return false;
-  if (compensate) opacity *= std::sqrt(p.bare_det[i] / p.det[i]);
-  if (!(opacity >= kMinAlpha) || !(opacity < 1e30)) return false;
-  const double mean_x = camera.fx * p.px[i] + camera.cx, mean_y = camera.fy * p.py[i] + camera.cy;
-  // Also what is not finite: comparisons with NaN are false.
-  if (!(std::abs(mean_x) + std::abs(mean_y) < 1e15) || !(p.xx[i] + p.yy[i] < kLargest))
-    return false;
-  const double log2_opacity = static_cast<double>(std::log2(static_cast<float>(opacity)));
-  const double reach2 = std::log2(1.0 / kMinAlpha) / kHalfLog2E + log2_opacity / kHalfLog2E;
-  const double xx = reach2 * p.xx[i] + kOutlineMargin, yy = reach2 * p.yy[i] + kOutlineMargin;
-  const double xy = reach2 * p.xy[i];
-  const double half_x = std::sqrt(xx), half_y = std::sqrt(yy);
-  if (!(mean_x + half_x >= 0.5) || !(mean_x - half_x <= camera.width - 0.5) ||
-      !(mean_y + half_y >= 0.5) || !(mean_y - half_y <= camera.height - 0.5))
-    return false;
-  r.anchor_x = static_cast<float>(std::nearbyint(mean_x));
-  r.anchor_y = static_cast<float>(std::nearbyint(mean_y));
+// What the kernels read of a block, as arrays.
+using FloatLane = float[kBlock];
+struct Drawn {
+  FloatLane log2_opacity, mean_x, mean_y, anchor_x, anchor_y, x, y;
+  FloatLane slope, k, inverse_yy, extreme_dy, half_x, half_y;
+  FloatLane a, b, c;
+  FloatLane seen;  // 1 or 0
+};
+
+// log2 of positive numbers, absolute error below 1e-9: the series of artanh over the mantissa in
+// [1/sqrt 2, sqrt 2].
+inline double log2_of(float x) {
+  const auto bits = std::bit_cast<int32_t>(x);
+  const int32_t exponent = (bits - 0x3f3504f3) >> 23;
+  const auto mantissa = static_cast<double>(std::bit_cast<float>(bits - (exponent << 23)));
+  const double s = (mantissa - 1.0) / (mantissa + 1.0), s2 = s * s;
+  const double series =
+      1.0 + s2 * (1.0 / 3 + s2 * (1.0 / 5 + s2 * (1.0 / 7 + s2 * (1.0 / 9 + s2 * (1.0 / 11)))));
+  return static_cast<double>(exponent) + 2.8853900817779268 * s * series;
+}
+
+[[gnu::always_inline]] inline void outline(const Camera& camera, const Projector& p,
+                                           const Projected& f, const FloatLane opacity, Drawn& d) {
+  const double fx = p.fx, fy = p.fy, cx = p.cx, cy = p.cy;
+  for (size_t i = 0; i < kBlock; ++i) {
+    const double log2_opacity = log2_of(opacity[i]);
+    d.log2_opacity[i] = static_cast<float>(std::min(log2_opacity, kLargestLog2Opacity));
+    const double reach2 = (log2_opacity + kLog2OverMinAlpha) * (1.0 / kHalfLog2E);
+    const double mean_x = fx * f.px[i] + cx, mean_y = fy * f.py[i] + cy;
+    // Rounds to whole numbers.
+    const double anchor_x = (mean_x + kRoundingShift) - kRoundingShift;
+    const double anchor_y = (mean_y + kRoundingShift) - kRoundingShift;
+    d.anchor_x[i] = static_cast<float>(anchor_x);
+    d.anchor_y[i] = static_cast<float>(anchor_y);
+    d.x[i] = static_cast<float>(mean_x - anchor_x);
+    d.y[i] = static_cast<float>(mean_y - anchor_y);
+    d.mean_x[i] = static_cast<float>(mean_x);
+    d.mean_y[i] = static_cast<float>(mean_y);
+    d.slope[i] = static_cast<float>(f.slope[i]);
+    d.k[i] = static_cast<float>(reach2 * f.k[i]);
+    d.half_y[i] = static_cast<float>(reach2 * f.yy[i] + kOutlineMargin);  // squared
+    d.a[i] = static_cast<float>(kHalfLog2E / f.k[i]);                     // squared
+    d.c[i] = static_cast<float>(kHalfLog2E / f.yy[i]);                    // squared
+  }
+  const auto margin = static_cast<float>(kOutlineMargin);
+  const auto right = static_cast<float>(camera.width) - 0.5f;
+  const auto bottom = static_cast<float>(camera.height) - 0.5f;
+  for (size_t i = 0; i < kBlock; ++i) {
+    const float slope = d.slope[i], yy = d.half_y[i];
+    // With the margin added to the variances of x and of y.
+    const float k = d.k[i] + margin * (1.0f + slope * slope);
+    const float half_x = std::sqrt(slope * slope * yy + k), half_y = std::sqrt(yy);
+    d.k[i] = k;
+    d.half_x[i] = half_x;
+    d.half_y[i] = half_y;
+    d.inverse_yy[i] = 1.0f / yy;
+    d.extreme_dy[i] = slope * yy / half_x;
+    const float a = std::sqrt(d.a[i]);
+    d.a[i] = a;
+    d.b[i] = -a * slope;
+    d.c[i] = std::sqrt(d.c[i]);
+    // Comparisons with NaN are false.
+    const bool inside = (d.mean_x[i] + half_x >= 0.5f) & (d.mean_x[i] - half_x <= right) &
+                        (d.mean_y[i] + half_y >= 0.5f) & (d.mean_y[i] - half_y <= bottom);
+    d.seen[i] = inside ? 1.0f : 0.0f;
+  }
+}
+
+// Whether Gaussian `i` of a block, with its opacity as it is drawn, can be drawn and seen.
+inline bool is_seen(const Projected& p, const Drawn& d, size_t i, float opacity, double near) {
+  return p.z[i] > near && p.k[i] > kSmallest && p.yy[i] > kSmallest &&
+         p.xx[i] + p.yy[i] < kLargest && opacity >= kMinAlpha && opacity < 1e30f &&
+         std::abs(d.mean_x[i]) + std::abs(d.mean_y[i]) < 1e15f && d.seen[i] != 0.0f;
+}
+
+inline void make_record(const Drawn& d, size_t i, GaussianRecord& r) {
+  r.anchor_x = d.anchor_x[i];
+  r.anchor_y = d.anchor_y[i];
   EllipseOutline& o = r.outline;
-  o.x = static_cast<float>(mean_x - static_cast<double>(r.anchor_x));
-  o.y = static_cast<float>(mean_y - static_cast<double>(r.anchor_y));
-  o.slope = static_cast<float>(xy / yy);
-  o.k = static_cast<float>(std::max(xx - xy * xy / yy, kOutlineMargin));
-  o.inverse_yy = static_cast<float>(1.0 / yy);
-  o.extreme_dy = static_cast<float>(xy / half_x);
-  o.everywhere = !(xx + yy < kLargestOutline * kLargestOutline);
-  const double a = std::sqrt(kHalfLog2E / p.k[i]);
-  r.a = static_cast<float>(a);
-  r.b = static_cast<float>(-a * p.slope[i]);
-  r.c = static_cast<float>(std::sqrt(kHalfLog2E / p.yy[i]));
-  r.log2_opacity = static_cast<float>(std::min(log2_opacity, kLargestLog2Opacity));
-  return true;
+  o.x = d.x[i];
+  o.y = d.y[i];
+  o.slope = d.slope[i];
+  o.k = d.k[i];
+  o.inverse_yy = d.inverse_yy[i];
+  o.extreme_dy = d.extreme_dy[i];
+  o.half_x = d.half_x[i];
+  o.half_y = d.half_y[i];
+  o.everywhere = !(o.half_x + o.half_y < kLargestOutline);
+  r.a = d.a[i];
+  r.b = d.b[i];
+  r.c = d.c[i];
+  r.log2_opacity = d.log2_opacity[i];
 }
 
 bool finite(std::span<const float> values, size_t first, size_t count) {
@@ -175,21 +236,26 @@ void project_range(const Projector& projector, const Camera& camera, const Gauss
                    GaussianList& list) {
   Inputs in;
   Projected out;
+  Drawn drawn;
+  FloatLane opacity;
   uint32_t index[kBlock];
   for (size_t first = begin; first < end; first += kBlock) {
     const size_t count = std::min(kBlock, end - first);
     for (size_t i = 0; i < count; ++i) index[i] = static_cast<uint32_t>(first + i);
     load_block(g, index, count, in);
     project(projector, in, out);
+    for (size_t i = 0; i < kBlock; ++i) opacity[i] = g.opacity[index[i < count ? i : 0]];
+    for (size_t i = 0; options.compensate && i < kBlock; ++i)
+      opacity[i] *= static_cast<float>(std::sqrt(out.bare_det[i] / out.det[i]));
+    outline(camera, projector, out, opacity, drawn);
     for (size_t i = 0; i < count; ++i) {
       const size_t s = first + i;
-      GaussianRecord& r = list.all_records[s];
-      r.source = static_cast<uint32_t>(s);
       list.depth[s] = out.z[i];
       list.seen[s] =
-          make_record(camera, out, i, static_cast<double>(g.opacity[s]),
-                      static_cast<double>(options.near), options.compensate, r) &&
+          is_seen(out, drawn, i, opacity[i], static_cast<double>(options.near)) &&
           finite(g.features, s * static_cast<size_t>(g.channels), static_cast<size_t>(g.channels));
+      make_record(drawn, i, list.all_records[s]);
+      list.all_records[s].source = static_cast<uint32_t>(s);
     }
   }
 }
@@ -334,7 +400,11 @@ void prepare_gaussians(const Camera& camera, const GaussianView& gaussians,
   list.sort.sort(list.seen, list.depth, list.order);
   list.records.resize(list.order.size());
   parallel_for(list.order.size(), 4096, [&](size_t begin, size_t end, int) {
-    for (size_t k = begin; k < end; ++k) list.records[k] = list.all_records[list.order[k]];
+    constexpr size_t kAhead = 8;
+    for (size_t k = begin; k < end; ++k) {
+      if (k + kAhead < end) __builtin_prefetch(&list.all_records[list.order[k + kAhead]]);
+      list.records[k] = list.all_records[list.order[k]];
+    }
   });
 }
 

@@ -250,7 +250,7 @@ HWY_INLINE void begin_surfel_tile(const SplatTile& tile, size_t planes, size_t p
 // Stores the new transmittances; notes when the vector's last pixel has finished.
 HWY_INLINE void update(const Hit& hit, float* transmittance, size_t at, Alive& alive) {
   store(hit.after, transmittance);
-  finish(hit.finished, hn::Gt(hit.after, hn::Zero(df)), at, alive);
+  finish(hit.finished, hn::Gt(hit.after, hn::Zero(df)), at / kLanes, alive);
 }
 
 // Calls visit(low-pass?, surfel, record, rows, column, top row, at) for every vector of

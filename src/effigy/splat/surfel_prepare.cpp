@@ -86,7 +86,8 @@ bool outline_surfel(const Camera& camera, const CameraSurfel& g, const SurfelRec
   outline.slope = static_cast<float>(xy / yy);
   outline.k = static_cast<float>(std::max(xx - xy * xy / yy, kOutlineMargin));
   outline.inverse_yy = static_cast<float>(1.0 / yy);
-  outline.extent_x = static_cast<float>(std::sqrt(xx));
+  outline.half_x = static_cast<float>(std::sqrt(xx));
+  outline.half_y = static_cast<float>(std::sqrt(yy));
   outline.extreme_dy = static_cast<float>(xy / std::sqrt(xx));
   double left = x - std::sqrt(xx), right = x + std::sqrt(xx);
   double top = y - std::sqrt(yy), bottom = y + std::sqrt(yy);
@@ -112,9 +113,8 @@ bool can_be_filtered(const SurfelRecord& r, const SurfelOutline& o) {
   if (r.low_pass_x >= kNoLowPass) return false;
   if (o.everywhere) return true;
   const float radius = std::sqrt(std::max(o.disc_squared, 0.0f));
-  const float x = std::max(std::abs(o.x) + o.extent_x, std::abs(o.disc_x) + radius);
-  const float y =
-      std::max(std::abs(o.y) + 1.0f / std::sqrt(o.inverse_yy), std::abs(o.disc_y) + radius);
+  const float x = std::max(std::abs(o.x) + o.half_x, std::abs(o.disc_x) + radius);
+  const float y = std::max(std::abs(o.y) + o.half_y, std::abs(o.disc_y) + radius);
   const float c = std::abs(r.c[0]) - std::abs(r.c[1]) * x - std::abs(r.c[2]) * y;
   if (!(c > 0.0f)) return true;
   return r.a[1] * r.a[1] + r.a[2] * r.a[2] + r.b[1] * r.b[1] + r.b[2] * r.b[2] > 2.0f * c * c;

@@ -38,7 +38,6 @@ struct SurfelRecord {
 // The region where a >= 1/255 can hold, in pixels relative to the anchor: the ellipse and the
 // low-pass disc.
 struct SurfelOutline : EllipseOutline {
-  float extent_x;  // half width of the ellipse
   float disc_x, disc_y, disc_squared;
 };
 

@@ -20,8 +20,9 @@ inline constexpr size_t kTilePixels = kTileSize * kTileSize;
 // with centre (x, y), rows y + dy spanning x + slope dy -+ sqrt(k (1 - dy^2 inverse_yy)).
 struct EllipseOutline {
   float x, y, slope, k, inverse_yy;
-  float extreme_dy;  // dy of the rightmost point
-  bool everywhere;   // no outline is known
+  float extreme_dy;      // dy of the rightmost point
+  float half_x, half_y;  // of the box around it
+  bool everywhere;       // no outline is known
 };
 
 // Tiles first..last of a tile row that a splat (index in order of depth) reaches.
@@ -93,15 +94,16 @@ struct PixelRange {
 };
 inline PixelRange pixels_between(float low, float high, int size) {
   const float limit = static_cast<float>(size);
-  return {static_cast<int>(std::ceil(std::clamp(low, 0.0f, limit) - 0.5f)),
-          std::min(size - 1, static_cast<int>(std::floor(std::clamp(high, -1.0f, limit) - 0.5f)))};
+  // Rounding up and down by truncation, of numbers that are not negative; a centre within a
+  // thousandth of a pixel of the end counts as inside.
+  return {static_cast<int>(std::clamp(low, 0.0f, limit) + 0.499f),
+          std::min(size, static_cast<int>(std::clamp(high, -0.5f, limit) + 0.501f)) - 1};
 }
 
-// Extends [left, right] by the x-range of the ellipse in rows [top, bottom]; `reach`: half its
-// height.
-inline void ellipse_in_band(const EllipseOutline& o, float reach, float top, float bottom,
-                            float& left, float& right) {
-  const float d0 = std::max(top - o.y, -reach), d1 = std::min(bottom - o.y, reach);
+// Extends [left, right] by the x-range of the ellipse in rows [top, bottom].
+inline void ellipse_in_band(const EllipseOutline& o, float top, float bottom, float& left,
+                            float& right) {
+  const float d0 = std::max(top - o.y, -o.half_y), d1 = std::min(bottom - o.y, o.half_y);
   if (d0 > d1) return;
   const auto half = [&](float dy) {
     return std::sqrt(o.k * std::max(0.0f, 1.0f - dy * dy * o.inverse_yy));
@@ -122,39 +124,45 @@ void for_each_span(float anchor_x, float anchor_y, const Outline& o, int width, 
   constexpr bool kDisc = requires {
     o.disc_squared;
   };
-  PixelRange rows{0, height - 1};
-  const float reach = o.everywhere ? 0.0f : 1.0f / std::sqrt(o.inverse_yy);
+  PixelRange rows{0, height - 1}, columns{0, width - 1};
   if (!o.everywhere) {
-    float top = o.y - reach, bottom = o.y + reach;
+    float top = o.y - o.half_y, bottom = o.y + o.half_y;
+    float left = o.x - o.half_x, right = o.x + o.half_x;
     if constexpr (kDisc) {
       if (o.disc_squared > 0.0f) {
         const float radius = std::sqrt(o.disc_squared);
         top = std::min(top, o.disc_y - radius);
         bottom = std::max(bottom, o.disc_y + radius);
+        left = std::min(left, o.disc_x - radius);
+        right = std::max(right, o.disc_x + radius);
       }
     }
     rows = pixels_between(anchor_y + top, anchor_y + bottom, height);
+    columns = pixels_between(anchor_x + left, anchor_x + right, width);
   }
-  if (rows.last < rows.first) return;
-  for (int ty = rows.first / kTileSize; ty <= rows.last / kTileSize; ++ty) {
-    PixelRange columns{0, width - 1};
-    if (!o.everywhere) {
-      const float base = static_cast<float>(ty * kTileSize) - anchor_y;
-      const float top = base + 0.5f, bottom = base + kTileSize - 0.5f;
-      float left = 1e30f, right = -1e30f;
-      ellipse_in_band(o, reach, top, bottom, left, right);
-      if constexpr (kDisc) {
-        const float dy = std::clamp(0.0f, top - o.disc_y, bottom - o.disc_y);
-        const float rest = o.disc_squared - dy * dy;
-        if (o.disc_squared > 0.0f && rest >= 0.0f) {
-          left = std::min(left, o.disc_x - std::sqrt(rest));
-          right = std::max(right, o.disc_x + std::sqrt(rest));
-        }
+  if (rows.last < rows.first || columns.last < columns.first) return;
+  const int first_row = rows.first / kTileSize, last_row = rows.last / kTileSize;
+  const int first_column = columns.first / kTileSize, last_column = columns.last / kTileSize;
+  if (o.everywhere || first_row == last_row || first_column == last_column) {
+    for (int ty = first_row; ty <= last_row; ++ty) emit(ty, first_column, last_column);
+    return;
+  }
+  for (int ty = first_row; ty <= last_row; ++ty) {
+    const float base = static_cast<float>(ty * kTileSize) - anchor_y;
+    const float top = base + 0.5f, bottom = base + kTileSize - 0.5f;
+    float left = 1e30f, right = -1e30f;
+    ellipse_in_band(o, top, bottom, left, right);
+    if constexpr (kDisc) {
+      const float dy = std::clamp(0.0f, top - o.disc_y, bottom - o.disc_y);
+      const float rest = o.disc_squared - dy * dy;
+      if (o.disc_squared > 0.0f && rest >= 0.0f) {
+        left = std::min(left, o.disc_x - std::sqrt(rest));
+        right = std::max(right, o.disc_x + std::sqrt(rest));
       }
-      if (right < left) continue;
-      columns = pixels_between(anchor_x + left, anchor_x + right, width);
-      if (columns.last < columns.first) continue;
     }
+    if (right < left) continue;
+    columns = pixels_between(anchor_x + left, anchor_x + right, width);
+    if (columns.last < columns.first) continue;
     emit(ty, columns.first / kTileSize, columns.last / kTileSize);
   }
 }

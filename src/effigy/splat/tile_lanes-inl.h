@@ -99,6 +99,16 @@ HWY_INLINE Vf lane_y() {
   return hn::ConvertTo(df, hn::ShiftRight<kBits>(hn::Iota(di, 0)));
 }
 
+// The bitwise or of the lanes.
+template <class D, class V>
+HWY_INLINE uint32_t or_lanes(D d, V v) {
+  HWY_ALIGN uint32_t lanes[kLanes];
+  hn::Store(v, d, lanes);
+  uint32_t all = 0;
+  for (size_t k = 0; k < kLanes; ++k) all |= lanes[k];
+  return all;
+}
+
 // Which rows of which columns of vectors a splat can reach: bit y of reach[j] is set when the
 // vector of column j whose top row is y has a pixel inside the outline.
 struct Reach {
@@ -151,38 +161,93 @@ HWY_INLINE void end_reach(const SplatTile& tile, Reach& reach) {
   }
 }
 
-// Which vectors of the tile still have a pixel to fill.
+// Which vectors of the tile still have a pixel to fill, column by column.
 struct Alive {
-  uint32_t rows[kColumns];  // bit y: the vector whose top row is y
-  size_t count;
+  uint32_t rows[kColumns] = {};  // bit y: the vector whose top row is y
+  size_t count = 0;
+
+  HWY_INLINE void add(size_t vector) {
+    rows[vector % kColumns] |= uint32_t{1} << (vector / kColumns * kTall);
+    ++count;
+  }
+  HWY_INLINE void remove(size_t vector) {
+    rows[vector % kColumns] &= ~(uint32_t{1} << (vector / kColumns * kTall));
+    --count;
+  }
 };
+
+// A set of vectors of a tile: bit n % 32 of word n / 32 is vector n.
+constexpr size_t kVectors = kTilePixels / kLanes;
+constexpr size_t kWords = HWY_MAX(size_t{1}, kVectors / 32);
+struct VectorSet {
+  uint32_t words[kWords] = {};
+  size_t count = 0;
+
+  HWY_INLINE void add(size_t vector) {
+    words[vector / 32] |= uint32_t{1} << vector % 32;
+    ++count;
+  }
+  HWY_INLINE void remove(size_t vector) {
+    words[vector / 32] &= ~(uint32_t{1} << vector % 32);
+    --count;
+  }
+};
+
+// The vectors that have a pixel inside the ellipse; (x, y): centre of the tile's first pixel -
+// anchor. What lies outside the image is not left out.
+HWY_INLINE void vectors_in_ellipse(const EllipseOutline& o, float x, float y, uint32_t* words) {
+  constexpr size_t kRows = kTile / kWords;  // of pixels in a word
+  const hn::RebindToUnsigned<Df> du;
+  const auto all = hn::Set(du, ~uint32_t{0});
+  // Where the bits of each lane's row go.
+  HWY_ALIGN uint32_t shifts[kLanes];
+  for (size_t k = 0; k < kLanes; ++k) shifts[k] = static_cast<uint32_t>(k / kTall * kColumns);
+  const auto shift = hn::Load(du, shifts);
+  const Vf to_column = set(-x), last_column = set(static_cast<float>(kTile - 1));
+  for (size_t w = 0; w < kWords; ++w) {
+    auto bits = hn::Zero(du);
+    for (size_t k = 0; k < kRows; k += kLanes) {
+      Vf left, right;
+      ellipse_rows(o, hn::Iota(df, y + static_cast<float>(w * kRows + k)), left, right);
+      const Vf first = hn::Max(hn::Ceil(hn::Add(left, to_column)), hn::Zero(df));
+      const Vf last = hn::Min(hn::Floor(hn::Add(right, to_column)), last_column);
+      const auto some = hn::RebindMask(du, hn::Le(first, last));
+      constexpr int kPerVector = kWide == 4 ? 2 : 0;  // pixels to vectors, as a shift
+      const auto column = [&](Vf f) HWY_ATTR {
+        return hn::ShiftRight<kPerVector>(hn::BitCast(du, hn::ConvertTo(di, f)));
+      };
+      const auto from = column(hn::Min(first, last_column));
+      const auto to = hn::Sub(hn::Set(du, 31), column(hn::Max(last, hn::Zero(df))));
+      const auto row = hn::And(hn::operator<<(all, from), hn::operator>>(all, to));
+      const auto place = hn::Add(shift, hn::Set(du, static_cast<uint32_t>(k / kTall * kColumns)));
+      bits = hn::Or(bits, hn::operator<<(hn::IfThenElseZero(some, row), place));
+    }
+    words[w] = or_lanes(du, bits);
+  }
+}
 
 // Sets the transmittance, which of the vector of pixels `at` is at block[at * planes + plane *
 // kLanes], to 1 inside the image and to 0 outside.
+template <class Vectors>
 HWY_INLINE void begin_tile(const SplatTile& tile, size_t planes, size_t plane, float* block,
-                           Alive& alive) {
-  alive.count = 0;
-  for (size_t j = 0; j < kColumns; ++j) alive.rows[j] = 0;
+                           Vectors& alive) {
+  alive = Vectors();
   for (size_t y = 0; y < kTile; y += kTall) {
     for (size_t j = 0; j < kColumns; ++j) {
-      const size_t at = (y / kTall * kColumns + j) * kLanes;
+      const size_t vector = y / kTall * kColumns + j;
       const auto left = static_cast<float>(tile.width - static_cast<int>(j * kWide));
       const auto below = static_cast<float>(tile.height - static_cast<int>(y));
       const Mf inside = hn::And(hn::Lt(lane_x(), set(left)), hn::Lt(lane_y(), set(below)));
-      store(hn::IfThenElseZero(inside, set(1.0f)), block + at * planes + plane * kLanes);
-      if (hn::AllFalse(df, inside)) continue;
-      alive.rows[j] |= uint32_t{1} << y;
-      ++alive.count;
+      store(hn::IfThenElseZero(inside, set(1.0f)), block + (vector * planes + plane) * kLanes);
+      if (!hn::AllFalse(df, inside)) alive.add(vector);
     }
   }
 }
 
 // Notes when the vector's last pixel has finished.
-HWY_INLINE void finish(Mf finished, Mf open, size_t at, Alive& alive) {
-  if (hn::AllFalse(df, finished) || !hn::AllFalse(df, open)) return;
-  const size_t vector = at / kLanes;
-  alive.rows[vector % kColumns] &= ~(uint32_t{1} << (vector / kColumns * kTall));
-  --alive.count;
+template <class Vectors>
+HWY_INLINE void finish(Mf finished, Mf open, size_t vector, Vectors& alive) {
+  if (!hn::AllFalse(df, finished) && hn::AllFalse(df, open)) alive.remove(vector);
 }
 
 // Copies plane `c` of the tile's block of `planes` planes to `image`, a plane of rows of `row_size`

@@ -19,7 +19,6 @@ namespace {
 // nearest first: weight (0 in lanes that it is not in, or past the threshold), u, v, a vector each.
 // Backward adds dL/dw and dL/duv / w in a second array.
 constexpr size_t kEntry = 3 * kLanes;
-constexpr size_t kVectors = kTilePixels / kLanes;
 // A pixel takes at most log(1e-4) / log(1 - 1/255) = 2344 surfels.
 constexpr size_t kMostListed = 2400 * kLanes;
 
