@@ -22,7 +22,8 @@ namespace {
 
 constexpr float kLog2MinAlpha = -7.9943534f;  // log2(1 / 255)
 
-// The block of a vector of pixels. The transmittance of a finished pixel is kept negative.
+// The block of a vector of pixels. The transmittance of a finished pixel is kept negative, that of
+// one outside the image is -1.
 constexpr size_t kT = 0;
 // Forward: the features' sums.
 constexpr size_t kForwardFeatures = 1;
@@ -80,14 +81,11 @@ HWY_INLINE Meeting meet(const GaussianRow& row, size_t vector, float* transmitta
   const Mf enough = hn::Ge(m.after, set(kMinTransmittance));
   m.blended = hn::And(reached, enough);
   const Mf finished = hn::AndNot(enough, reached);
-  const Vf next = hn::IfThenElse(m.blended, m.after, m.before);
+  const Vf sign = hn::IfThenElseZero(finished, hn::SignBit(df));
+  const Vf next = hn::IfThenElse(m.blended, m.after, hn::Or(m.before, sign));
   store(next, transmittance);
-  if (HWY_UNLIKELY(!hn::AllFalse(df, finished))) {
-    const Vf sign = hn::IfThenElseZero(finished, hn::SignBit(df));
-    const Vf ended = hn::Or(next, sign);
-    store(ended, transmittance);
-    if (hn::AllFalse(df, hn::Gt(ended, hn::Zero(df)))) alive.remove(vector);
-  }
+  // Once for every vector, so that the processor foresees it.
+  if (hn::AllTrue(df, hn::Lt(next, hn::Zero(df)))) alive.remove(vector);
   return m;
 }
 
@@ -101,8 +99,8 @@ HWY_INLINE size_t walk_gaussians(const GaussianScene& scene, const SplatTile& ti
   size_t e = 0;
   for (; e < tile.count && alive.count != 0; ++e) {
     const GaussianRecord& r = scene.records[tile.entries[e]];
-    if (e + 4 < tile.count) {
-      hwy::Prefetch(scene.records + tile.entries[e + 4]);
+    if (e + 8 < tile.count) {
+      hwy::Prefetch(scene.records + tile.entries[e + 8]);
       hwy::Prefetch(scene.features + scene.records[tile.entries[e + 2]].source * scene.channels);
     }
     find_gaussian(r, tile, row);
@@ -137,7 +135,7 @@ void forward_tile(const GaussianScene& scene, const SplatTile& tile, GaussianWor
   float* const block = ws.block.data();
   std::memset(block, 0, sizeof(float) * kTilePixels * planes);
   VectorSet alive;
-  begin_tile(tile, planes, kT, block, alive);
+  begin_tile(tile, planes, kT, -1.0f, block, alive);
   const float* feature = nullptr;
   Vi pairs = hn::Zero(di);
   const auto begin = [&](size_t, const GaussianRecord& r)
@@ -317,7 +315,7 @@ void backward_tile(const GaussianScene& scene, const SplatTile& tile, GaussianWo
   std::memset(block, 0, sizeof(float) * kTilePixels * planes);
   load_derivatives(scene, tile, planes, block);
   VectorSet alive;
-  begin_tile(tile, planes, kT, block, alive);
+  begin_tile(tile, planes, kT, -1.0f, block, alive);
   MetVectors met;
   const auto begin = [&](size_t, const GaussianRecord&) HWY_ATTR { met.count = 0; };
   const auto visit = [&](const GaussianRow& row, size_t vector) HWY_ATTR {

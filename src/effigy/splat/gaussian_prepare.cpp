@@ -349,24 +349,27 @@ void backward_range(const Projector& projector, const GaussianView& g, bool comp
   Inputs in;
   Projected out;
   Derivatives d;
-  Lane sums[GaussianSums::kCount];
+  Lane sums[GaussianSums::kCount] = {};
   uint32_t index[kBlock];
   const size_t channels = static_cast<size_t>(g.channels);
   const size_t stride = GaussianSums::kCount + channels;
   std::vector<double> all(stride);
   double* const total = all.data();
-  for (size_t first = begin; first < end; first += kBlock) {
-    const size_t count = std::min(kBlock, end - first);
-    for (size_t i = 0; i < kBlock; ++i) {
+  size_t next = begin;
+  while (true) {
+    // The next block of Gaussians that were seen.
+    size_t count = 0;
+    for (; next < end && count < kBlock; ++next)
+      if (list.seen[next]) index[count++] = static_cast<uint32_t>(next);
+    if (count == 0) return;
+    for (size_t i = 0; i < count; ++i) entries.prefetch(list.rank[index[i]]);
+    for (size_t i = 0; i < count; ++i) {
       std::fill_n(total, stride, 0.0);
-      if (i < count) {
-        index[i] = list.records[first + i].source;
-        entries.add(first + i, total);
-        for (size_t c = 0; c < channels; ++c)
-          gradients.features[channels * index[i] + c] +=
-              static_cast<float>(total[GaussianSums::kCount + c]);
-      }
+      entries.add(list.rank[index[i]], total);
       for (size_t k = 0; k < GaussianSums::kCount; ++k) sums[k][i] = total[k];
+      for (size_t c = 0; c < channels; ++c)
+        gradients.features[channels * index[i] + c] +=
+            static_cast<float>(total[GaussianSums::kCount + c]);
     }
     load_block(g, index, count, in);
     project(projector, in, out);
@@ -399,11 +402,13 @@ void prepare_gaussians(const Camera& camera, const GaussianView& gaussians,
   });
   list.sort.sort(list.seen, list.depth, list.order);
   list.records.resize(list.order.size());
+  list.rank.resize(n);
   parallel_for(list.order.size(), 4096, [&](size_t begin, size_t end, int) {
     constexpr size_t kAhead = 8;
     for (size_t k = begin; k < end; ++k) {
       if (k + kAhead < end) __builtin_prefetch(&list.all_records[list.order[k + kAhead]]);
       list.records[k] = list.all_records[list.order[k]];
+      list.rank[list.order[k]] = static_cast<uint32_t>(k);
     }
   });
 }
@@ -412,7 +417,7 @@ void gaussians_backward(const Camera& camera, const GaussianView& gaussians,
                         const GaussianRasterOptions& options, const GaussianList& list,
                         const EntrySums& entries, const GaussianGradients& gradients) {
   const Projector projector(camera, options);
-  parallel_for(list.records.size(), 512, [&](size_t begin, size_t end, int) {
+  parallel_for(gaussians.count(), 512, [&](size_t begin, size_t end, int) {
     backward_range(projector, gaussians, options.compensate, list, begin, end, entries, gradients);
   });
 }

@@ -32,6 +32,7 @@ struct GaussianList {
   std::vector<uint8_t> seen;
   std::vector<double> depth;
   std::vector<uint32_t> order;
+  std::vector<uint32_t> rank;  // index into records, where seen
   DepthSort sort;
 };
 
@@ -59,9 +60,14 @@ struct EntrySums {
       for (size_t i = 0; i < stride; ++i) total[i] += static_cast<double>(entry[i]);
     }
   }
+  // Fetches them into the cache.
+  void prefetch(size_t k) const {
+    for (uint32_t p = bins.first_place[k]; p < bins.first_place[k + 1]; ++p)
+      __builtin_prefetch(values + bins.places[p] * stride);
+  }
 };
 
-// Adds the derivatives of all records to `gradients`.
+// Adds the derivatives of all Gaussians to `gradients`.
 void gaussians_backward(const Camera& camera, const GaussianView& gaussians,
                         const GaussianRasterOptions& options, const GaussianList& list,
                         const EntrySums& entries, const GaussianGradients& gradients);

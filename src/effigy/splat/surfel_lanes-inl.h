@@ -244,13 +244,14 @@ HWY_INLINE void begin_surfel_tile(const SplatTile& tile, size_t planes, size_t p
                                   SurfelWorkspace& ws, Alive& alive) {
   ws.pairs = 0;
   ws.used = 0;
-  begin_tile(tile, planes, plane, ws.block, alive);
+  begin_tile(tile, planes, plane, 0.0f, ws.block, alive);
 }
 
 // Stores the new transmittances; notes when the vector's last pixel has finished.
 HWY_INLINE void update(const Hit& hit, float* transmittance, size_t at, Alive& alive) {
   store(hit.after, transmittance);
-  finish(hit.finished, hn::Gt(hit.after, hn::Zero(df)), at / kLanes, alive);
+  if (!hn::AllFalse(df, hit.finished) && hn::AllFalse(df, hn::Gt(hit.after, hn::Zero(df))))
+    alive.remove(at / kLanes);
 }
 
 // Calls visit(low-pass?, surfel, record, rows, column, top row, at) for every vector of

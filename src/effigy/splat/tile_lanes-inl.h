@@ -227,10 +227,10 @@ HWY_INLINE void vectors_in_ellipse(const EllipseOutline& o, float x, float y, ui
 }
 
 // Sets the transmittance, which of the vector of pixels `at` is at block[at * planes + plane *
-// kLanes], to 1 inside the image and to 0 outside.
+// kLanes], to 1 inside the image and to `outside` elsewhere.
 template <class Vectors>
-HWY_INLINE void begin_tile(const SplatTile& tile, size_t planes, size_t plane, float* block,
-                           Vectors& alive) {
+HWY_INLINE void begin_tile(const SplatTile& tile, size_t planes, size_t plane, float outside,
+                           float* block, Vectors& alive) {
   alive = Vectors();
   for (size_t y = 0; y < kTile; y += kTall) {
     for (size_t j = 0; j < kColumns; ++j) {
@@ -238,16 +238,11 @@ HWY_INLINE void begin_tile(const SplatTile& tile, size_t planes, size_t plane, f
       const auto left = static_cast<float>(tile.width - static_cast<int>(j * kWide));
       const auto below = static_cast<float>(tile.height - static_cast<int>(y));
       const Mf inside = hn::And(hn::Lt(lane_x(), set(left)), hn::Lt(lane_y(), set(below)));
-      store(hn::IfThenElseZero(inside, set(1.0f)), block + (vector * planes + plane) * kLanes);
+      store(hn::IfThenElse(inside, set(1.0f), set(outside)),
+            block + (vector * planes + plane) * kLanes);
       if (!hn::AllFalse(df, inside)) alive.add(vector);
     }
   }
-}
-
-// Notes when the vector's last pixel has finished.
-template <class Vectors>
-HWY_INLINE void finish(Mf finished, Mf open, size_t vector, Vectors& alive) {
-  if (!hn::AllFalse(df, finished) && hn::AllFalse(df, open)) alive.remove(vector);
 }
 
 // Copies plane `c` of the tile's block of `planes` planes to `image`, a plane of rows of `row_size`
