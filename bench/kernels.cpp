@@ -63,7 +63,12 @@ double seconds_of(const std::function<void()>& work) {
   return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
 }
 
-// Times `work` after one run to warm up; results are seconds * scale.
+BenchResult constant(const std::string& name, double value) {
+  return {name, value, value, value, thread_count()};
+}
+
+}  // namespace
+
 BenchResult measure(const std::string& name, int repeats, double scale,
                     const std::function<void()>& work) {
   work();
@@ -72,12 +77,6 @@ BenchResult measure(const std::string& name, int repeats, double scale,
   std::sort(times.begin(), times.end());
   return {name, times[times.size() / 2], times.front(), times.back(), thread_count()};
 }
-
-BenchResult constant(const std::string& name, double value) {
-  return {name, value, value, value, thread_count()};
-}
-
-}  // namespace
 
 BenchScene make_bench_scene(const BenchOptions& options) {
   BenchScene scene;

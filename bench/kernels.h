@@ -1,10 +1,12 @@
-// Benchmarks of the head's kernels, used by `effigy bench`.
+// Benchmarks of the rasterizers' kernels, used by `effigy bench`.
 #pragma once
 
+#include <functional>
 #include <string>
 #include <vector>
 
 #include "effigy/geometry/types.h"
+#include "effigy/splat/gaussian_raster.h"
 #include "effigy/splat/surfel_raster.h"
 
 namespace effigy {
@@ -39,5 +41,23 @@ BenchScene make_bench_scene(const BenchOptions& options);
 // rasterizer, decibels, peak 1; head.scalar.ratio: time of forward with one lane over time with the
 // best instruction set, one thread each.
 std::vector<BenchResult> bench_kernels(const BenchOptions& options);
+
+// Times `work` after one run to warm up; results are seconds * scale.
+BenchResult measure(const std::string& name, int repeats, double scale,
+                    const std::function<void()>& work);
+
+// The scene that OpenSplat was measured on: 3D Gaussians on the same sphere, standard deviation
+// half their spacing along it and 0.3 of that across, colours by position, further channels
+// likewise.
+struct GaussianBenchScene {
+  Camera camera;
+  Gaussians gaussians;
+};
+GaussianBenchScene make_gaussian_bench_scene(int count, int channels);
+
+// gaussian.forward.{10k,80k}_ms, gaussian.forward_backward.{10k,80k}_ms (RGB, projection included)
+// and gaussian.channels10.* (ten channels): milliseconds a frame; gaussian.pairs.{10k,80k}: what is
+// blended in it; gaussian.threads: time of one thread over time of all, forward with backward, 80k.
+std::vector<BenchResult> bench_gaussians(int repeats);
 
 }  // namespace effigy

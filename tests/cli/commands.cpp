@@ -105,6 +105,64 @@ TEST(Commands, TrainThenInfoRenderTextures) {
   EXPECT_EQ(read_image8(place / "avatar/textures/albedo.png").at(10, 10)[1], 255);
 }
 
+TEST(Commands, SplatDrawsPlyFiles) {
+  test::ScratchFolder scratch;
+  // A red Gaussian at the origin and a green one to its right, further along z.
+  std::string ply =
+      "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty "
+      "float z\nproperty float opacity\n";
+  for (const char* name : {"scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3",
+                           "f_dc_0", "f_dc_1", "f_dc_2"})
+    ply += std::string("property float ") + name + "\n";
+  ply +=
+      "end_header\n0 0 0 9 -2 -2 -2 1 0 0 0 1.77 -1.77 -1.77\n"
+      "1 0 2 9 -2 -2 -2 1 0 0 0 -1.77 1.77 -1.77\n";
+  write_text(scratch / "two.ply", ply);
+  write_text(scratch / "camera.json",
+             R"({"width": 40, "height": 30, "fx": 40, "fy": 40, "cx": 20, "cy": 15,
+                 "camera_from_world": [[1,0,0,0],[0,1,0,0],[0,0,1,4],[0,0,0,1]]})");
+  const std::string file = (scratch / "two.ply").string();
+  const Outcome drawn = run("splat " + file + " -o " + (scratch / "a.png").string() + " --camera " +
+                            (scratch / "camera.json").string());
+  ASSERT_EQ(drawn.code, 0) << drawn.err;
+  const Image8 image = read_image8(scratch / "a.png");
+  ASSERT_EQ(image.width, 40);
+  EXPECT_GT(image.at(19, 14)[0], 220);
+  EXPECT_LT(image.at(19, 14)[1], 30);
+  EXPECT_GT(image.at(26, 14)[1], 220);  // x / z = 1 / 6
+  EXPECT_EQ(image.at(2, 2)[0], 0);
+  // Circling: y is down in the file, so half a turn shows the green one on the left.
+  for (const auto& [turn, right] : {std::pair{0, true}, std::pair{180, false}}) {
+    const Outcome circled = run("splat " + file + " -o " + (scratch / "b.png").string() +
+                                " --size 41,31 --turn " + std::to_string(turn));
+    ASSERT_EQ(circled.code, 0) << circled.err;
+    const Image8 view = read_image8(scratch / "b.png");
+    double sum = 0, weight = 0;
+    for (int y = 0; y < 31; ++y)
+      for (int x = 0; x < 41; ++x) {
+        sum += x * view.at(x, y)[1];
+        weight += view.at(x, y)[1];
+      }
+    ASSERT_GT(weight, 0);
+    double red = 0, red_weight = 0;
+    for (int y = 0; y < 31; ++y)
+      for (int x = 0; x < 41; ++x) {
+        red += x * view.at(x, y)[0];
+        red_weight += view.at(x, y)[0];
+      }
+    EXPECT_EQ(sum / weight > red / red_weight, right) << turn;
+  }
+  EXPECT_EQ(run("info " + file).code, 0);
+  for (const std::string& bad :
+       {"splat " + file + " -o " + (scratch / "c.jpg").string(),
+        "splat " + file + " -o x.png --gradients", "splat " + file + " -o x.png --up w",
+        "splat " + file + " -o x.png --size 0,4", std::string("splat /nonexistent.ply -o x.png")}) {
+    const Outcome outcome = run(bad);
+    EXPECT_EQ(outcome.code, 2) << bad << outcome.err;
+    EXPECT_TRUE(outcome.one_sentence()) << outcome.err;
+  }
+}
+
 TEST(Commands, ShardsTogetherAreTheWhole) {
   const Path& place = trained();
   const std::string avatar = (place / "avatar").string();

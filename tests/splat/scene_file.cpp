@@ -1,5 +1,6 @@
 // Scene folders: what is written can be read, and damaged or hostile ones get one sentence.
 #include "effigy/splat/scene_file.h"
+#include "effigy/splat/gaussian_scene_file.h"
 
 #include <gtest/gtest.h>
 
@@ -105,8 +106,6 @@ TEST_F(SceneFile, DamagedScenesAreRefusedNamingTheField) {
     j["surfels"][0]["uv_per_st"] = {1, 2, 3, 4};
   });
   expect_refused("surfels[0].frame", [](Json& j) { j["surfels"][0]["frame"][2] = Json(); });
-  expect_refused("Gaussians", [](Json& j) { j["kind"] = "gaussians"; });
-  expect_refused("kind", [](Json& j) { j["kind"] = "meshes"; });
 }
 
 TEST_F(SceneFile, DamagedFilesAreRefusedNamingThem) {
@@ -137,6 +136,62 @@ TEST_F(SceneFile, UpstreamDerivativesAreChecked) {
   const Planes planes = read_splat_upstream(folder, camera);
   EXPECT_EQ(planes.plane(kNormal + 1)[4], 13.0f);
   EXPECT_EQ(planes.plane(kAlpha)[4], 0.0f);
+}
+
+TEST_F(SceneFile, TheKindIsReadFromTheFile) {
+  ASSERT_EQ(sentence([](Json&) {}), "");
+  EXPECT_EQ(splat_scene_kind(folder), SplatSceneKind::kSurfels);
+  json["kind"] = "gaussians";
+  write_json(folder / "scene.json", json);
+  EXPECT_EQ(splat_scene_kind(folder), SplatSceneKind::kGaussians);
+  json["kind"] = "meshes";
+  write_json(folder / "scene.json", json);
+  EXPECT_THROW(splat_scene_kind(folder), Error);
+}
+
+TEST_F(SceneFile, GaussianScenesAreReadDrawnAndChecked) {
+  json.erase("texture");
+  json.erase("surfels");
+  json["kind"] = "gaussians";
+  json["gaussians"] = Json::parse(R"([
+      {"center": [0,0,0], "rotation": [2,0,0,0], "scale": [0.3,0.2,0.1], "opacity": 0.8,
+       "features": [1, 2]},
+      {"center": [0,0.2,1], "rotation": [0,1,0,1], "scale": [0.1,0.2,0.1], "opacity": 0.5,
+       "features": [3, 4]}])");
+  const auto refused = [&](const std::string& about, const std::function<void(Json&)>& change) {
+    Json changed = json;
+    change(changed);
+    write_json(folder / "scene.json", changed);
+    std::string text;
+    try {
+      read_gaussian_scene(folder);
+    } catch (const Error& error) {
+      text = error.what();
+    }
+    EXPECT_NE(text.find(about), std::string::npos) << "expected '" << about << "' in: " << text;
+  };
+  refused("gaussians", [](Json& j) { j.erase("gaussians"); });
+  refused("gaussians[1]", [](Json& j) { j["gaussians"][1] = 5; });
+  refused("gaussians[1].rotation", [](Json& j) { j["gaussians"][1]["rotation"] = {1, 2, 3}; });
+  refused("gaussians[0].scale", [](Json& j) { j["gaussians"][0]["scale"][1] = "x"; });
+  refused("gaussians[0].opacity", [](Json& j) { j["gaussians"][0]["opacity"] = -1; });
+  refused("gaussians[0].features", [](Json& j) { j["gaussians"][0].erase("features"); });
+  refused("gaussians[1].features", [](Json& j) { j["gaussians"][1]["features"] = {1, 2, 3}; });
+  refused("camera", [](Json& j) { j.erase("camera"); });
+  write_json(folder / "scene.json", json);
+  const GaussianScene scene = read_gaussian_scene(folder);
+  EXPECT_EQ(scene.gaussians.count(), 2u);
+  EXPECT_EQ(scene.gaussians.channels, 2);
+  EXPECT_THROW(read_gaussian_upstream(folder, scene), Error);
+  std::vector<float> values(30 * 2);
+  for (size_t i = 0; i < values.size(); ++i) values[i] = static_cast<float>(i);
+  write_raw("upstream_features.f32", values);
+  EXPECT_EQ(read_gaussian_upstream(folder, scene).plane(2)[4], 9.0f);
+  Planes image;
+  GaussianFrame frame;
+  render_gaussians(scene.camera, scene.gaussians.view(), {}, image, frame);
+  write_gaussian_outputs(folder / "out", image);
+  EXPECT_EQ(std::filesystem::file_size(folder / "out" / "features.f32"), 30u * 2 * 4);
 }
 
 }  // namespace

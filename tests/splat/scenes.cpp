@@ -1,5 +1,5 @@
-// The rasterizer against scenes whose answers were computed elsewhere in double precision: every
-// surfel folder under $EFFIGY_SCENES (scene.json, texture.f32, upstream_*.f32, expected/*.f32).
+// The rasterizers against scenes whose answers were computed elsewhere in double precision: every
+// folder under $EFFIGY_SCENES (scene.json, texture.f32, upstream_*.f32, expected/*.f32).
 
 #include <gtest/gtest.h>
 
@@ -8,7 +8,7 @@
 #include <cstdlib>
 #include <cstring>
 
-#include "effigy/base/json.h"
+#include "effigy/splat/gaussian_scene_file.h"
 #include "effigy/splat/scene_file.h"
 #include "splat/oracle.h"
 
@@ -103,7 +103,7 @@ TEST(SplatScenes, AgreeWithTheirAnswers) {
   for (const auto& entry : std::filesystem::directory_iterator(root)) {
     const Path folder = entry.path();
     if (!std::filesystem::exists(folder / "scene.json")) continue;
-    if (read_json(folder / "scene.json").contains("gaussians")) continue;
+    if (splat_scene_kind(folder) != SplatSceneKind::kSurfels) continue;
     SCOPED_TRACE(folder.string());
     ++scenes;
     const SplatScene scene = read_splat_scene(folder);
@@ -141,6 +141,50 @@ TEST(SplatScenes, AgreeWithTheirAnswers) {
     EXPECT_GE(files, 7);
   }
   EXPECT_GT(scenes, 0) << "no surfel scenes in " << root;
+}
+
+TEST(GaussianScenes, AgreeWithTheirAnswers) {
+  const char* root = std::getenv("EFFIGY_SCENES");
+  if (!root) GTEST_SKIP() << "EFFIGY_SCENES is not set: no scenes with known answers";
+  int scenes = 0;
+  for (const auto& entry : std::filesystem::directory_iterator(root)) {
+    const Path folder = entry.path();
+    if (!std::filesystem::exists(folder / "scene.json")) continue;
+    if (splat_scene_kind(folder) != SplatSceneKind::kGaussians) continue;
+    SCOPED_TRACE(folder.string());
+    ++scenes;
+    const GaussianScene scene = read_gaussian_scene(folder);
+    TemporaryFolder out;
+    Planes image;
+    GaussianFrame frame;
+    render_gaussians(scene.camera, scene.gaussians.view(), {}, image, frame);
+    write_gaussian_outputs(out.path(), image);
+    if (std::filesystem::exists(folder / "upstream_alpha.f32")) {
+      Gaussians d;
+      d.channels = scene.gaussians.channels;
+      d.resize(scene.gaussians.count());
+      render_gaussians_backward(scene.camera, scene.gaussians.view(), {}, image, frame,
+                                read_gaussian_upstream(folder, scene),
+                                {d.center, d.rotation, d.scale, d.opacity, d.features, {}});
+      write_gaussian_gradients(out.path(), d);
+    }
+    int files = 0;
+    for (const auto& answer : std::filesystem::directory_iterator(folder / "expected")) {
+      const std::string name = answer.path().filename().string();
+      const std::vector<float> expected = read_raw(answer.path());
+      const std::vector<float> actual = read_raw(out.path() / name);
+      ASSERT_EQ(expected.size(), actual.size()) << name;
+      ++files;
+      const bool gradient = name.rfind("grad_", 0) == 0;
+      const double error =
+          gradient ? gradient_error(expected, actual) : output_error(expected, actual);
+      if (std::getenv("EFFIGY_VERBOSE"))
+        std::cerr << folder.filename().string() << " " << name << " " << error << "\n";
+      EXPECT_LE(error, 2e-3) << name;
+    }
+    EXPECT_GE(files, 2);
+  }
+  EXPECT_GT(scenes, 0) << "no Gaussian scenes in " << root;
 }
 
 }  // namespace

@@ -122,29 +122,38 @@ HeadAvatar bench_training(const Capture& capture, int repeats, Figures& figures)
 
 int run_bench(int argc, char** argv) {
   CLI::App app(
-      "Measures this machine: the rasterizer's kernels (nanoseconds per blended surfel-pixel pair, "
-      "and\n"
-      "the ratio to the same kernel compiled without vectors), playback of an avatar at 512 "
-      "pixels\n"
-      "with fixed geometry and with the rig moving, and training. Medians with their spread.\n\n"
+      "Measures this machine: the surfel rasterizer's kernels (nanoseconds per blended "
+      "surfel-pixel\n"
+      "pair, and the ratio to the same kernel compiled without vectors), the Gaussian rasterizer\n"
+      "(milliseconds a frame of 10 and 80 thousand), playback of an avatar at 512 pixels with "
+      "fixed\n"
+      "geometry and with the rig moving, and training. Medians with their spread.\n\n"
       "example: effigy bench --json\n"
+      "         effigy bench --only gaussian\n"
       "         effigy bench --avatar anna",
       "bench");
-  std::string avatar_path;
+  std::string avatar_path, only = "all";
   int repeats = 9;
   CommonOptions common;
   app.add_option("--avatar", avatar_path,
                  "Measure playback on this avatar (default: the demo head)");
   app.add_option("--repeats", repeats, "Timed runs of each figure (default 9)")
       ->check(CLI::Range(1, 1000));
+  app.add_option("--only", only, "all, head or gaussian (default all)")
+      ->check(CLI::IsMember({"all", "head", "gaussian"}));
   add_common(app, common, false, true);
   if (!parse_command_line(app, argc, argv, common)) return 0;
 
   BenchOptions options;
   options.repeats = repeats;
-  log_info("measuring kernels");
-  Figures figures = bench_kernels(options);
-  {
+  Figures figures;
+  if (only != "head") {
+    log_info("measuring the Gaussian rasterizer");
+    figures = bench_gaussians(repeats);
+  }
+  if (only != "gaussian") {
+    log_info("measuring kernels");
+    for (const BenchResult& f : bench_kernels(options)) figures.push_back(f);
     const BenchCapture made;
     log_info("measuring training");
     const HeadAvatar started = bench_training(made.capture(), repeats, figures);

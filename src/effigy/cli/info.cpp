@@ -8,9 +8,11 @@
 #include "effigy/capture/capture.h"
 #include "effigy/cli/command_line.h"
 #include "effigy/cli/commands.h"
+#include "effigy/geometry/ply.h"
 #include "effigy/image/files.h"
 #include "effigy/image/video.h"
 #include "effigy/rig/rig_file.h"
+#include "effigy/splat/gaussian_ply.h"
 
 namespace effigy {
 namespace {
@@ -87,6 +89,19 @@ Json describe_tensors(const Path& path) {
   return {{"what", "safetensors"}, {"metadata", file.metadata}, {"tensors", tensors}};
 }
 
+// 3D Gaussians, or the vertices of another PLY file.
+Json describe_ply(const Path& path) {
+  const PlyVertices table = read_ply_vertices(path);
+  if (table.find("scale_0") < 0 || table.find("opacity") < 0)
+    return {{"what", "ply"}, {"vertices", table.count()}, {"columns", table.columns}};
+  const GaussianModel model = read_gaussian_ply(path);
+  return {{"what", "gaussians"},
+          {"gaussians", model.count()},
+          {"left_out", model.left_out},
+          {"sh_degree", model.sh_degree},
+          {"antialiased", model.antialiased}};
+}
+
 Json describe(const Path& path, const Path& models) {
   if (!std::filesystem::exists(path))
     throw Error("Cannot read " + path.string() +
@@ -99,6 +114,7 @@ Json describe(const Path& path, const Path& models) {
   std::string extension = path.extension().string();
   for (char& c : extension) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
   if (extension == ".safetensors") return describe_tensors(path);
+  if (extension == ".ply") return describe_ply(path);
   if (extension == ".pkl") return describe_rig(load_rig(path, models));
   if (extension == ".mp4" || extension == ".mov" || extension == ".mkv" || extension == ".webm" ||
       extension == ".avi")
@@ -112,7 +128,7 @@ int run_info(int argc, char** argv) {
   CLI::App app(
       "Says what a file or folder is and reads all of it, so that damage shows: captures, "
       "avatars,\n"
-      "rigs, images, environments, videos, safetensors.\n\n"
+      "rigs, images, environments, videos, safetensors, PLY files.\n\n"
       "example: effigy info anna",
       "info");
   std::string path, models;

@@ -92,7 +92,7 @@ HWY_INLINE Meeting meet(const GaussianRow& row, size_t vector, float* transmitta
 // Calls visit(row, vector) for every vector of pixels that the tile's Gaussians reach, front to
 // back, and begin / end(entry, record) around each Gaussian. Returns the number of entries walked.
 template <class Begin, class Visit, class End>
-HWY_INLINE size_t walk_gaussians(const GaussianScene& scene, const SplatTile& tile,
+HWY_INLINE size_t walk_gaussians(const GaussianTarget& scene, const SplatTile& tile,
                                  VectorSet& alive, const Begin& begin, const Visit& visit,
                                  const End& end) {
   GaussianRow row;
@@ -115,7 +115,7 @@ HWY_INLINE size_t walk_gaussians(const GaussianScene& scene, const SplatTile& ti
 }
 
 // Fills the tile with what an empty one shows.
-HWY_INLINE void clear_tile(const GaussianScene& scene, const SplatTile& tile) {
+HWY_INLINE void clear_tile(const GaussianTarget& scene, const SplatTile& tile) {
   for (size_t p = 0; p <= scene.channels; ++p) {
     const float value = p == 0 ? 0.0f : scene.background[p - 1];
     for (size_t y = 0; y < static_cast<size_t>(tile.height); ++y)
@@ -128,7 +128,7 @@ HWY_INLINE void clear_tile(const GaussianScene& scene, const SplatTile& tile) {
 
 // kChannels: the number of channels, 0 when it is only known at run time.
 template <size_t kChannels>
-void forward_tile(const GaussianScene& scene, const SplatTile& tile, GaussianWorkspace& ws) {
+void forward_tile(const GaussianTarget& scene, const SplatTile& tile, GaussianWorkspace& ws) {
   const size_t channels = kChannels ? kChannels : scene.channels;
   const size_t planes = kForwardFeatures + channels;
   ws.block.reserve(planes * kTilePixels);
@@ -162,7 +162,7 @@ void forward_tile(const GaussianScene& scene, const SplatTile& tile, GaussianWor
     store_plane(tile, block, planes, p, scene.image + p * scene.plane_size, scene.row_size);
 }
 
-void forward(const GaussianScene& scene, const SplatTile& tile, GaussianWorkspace& ws) {
+void forward(const GaussianTarget& scene, const SplatTile& tile, GaussianWorkspace& ws) {
   ws.pairs = 0;
   ws.used = 0;
   if (tile.count == 0) return clear_tile(scene, tile);
@@ -174,7 +174,7 @@ void forward(const GaussianScene& scene, const SplatTile& tile, GaussianWorkspac
 // Loads the tile's derivatives (0 outside the image). With D = dL/dalpha - sum of background_c
 // dL/dfeature_c, the loss changes by sum of w (D + sum of f_c dL/dfeature_c); all of it is the
 // first "remaining".
-HWY_INLINE void load_derivatives(const GaussianScene& scene, const SplatTile& tile, size_t planes,
+HWY_INLINE void load_derivatives(const GaussianTarget& scene, const SplatTile& tile, size_t planes,
                                  float* block) {
   for (size_t y = 0; y < static_cast<size_t>(tile.height); ++y) {
     const size_t row =
@@ -301,8 +301,8 @@ HWY_INLINE void all_channels_backward(MetVectors& met, const float* feature, siz
 
 // Replays the forward walk (same thresholds, same bits).
 template <size_t kChannels>
-void backward_tile(const GaussianScene& scene, const SplatTile& tile, GaussianWorkspace& ws,
-                   float* entry_sums, float* d_background) {
+void backward_tile(const GaussianTarget& scene, const SplatTile& tile, GaussianWorkspace& ws,
+                   const uint32_t* places, float* entry_sums, float* d_background) {
   const size_t channels = kChannels ? kChannels : scene.channels;
   const size_t planes = kDerivatives + 1 + channels;
   const size_t stride = GaussianSums::kCount + channels;
@@ -333,7 +333,7 @@ void backward_tile(const GaussianScene& scene, const SplatTile& tile, GaussianWo
     store(load(pixels + kDerivatives * kLanes), met.d_w + k);
   };
   const auto end = [&](size_t e, const GaussianRecord& r) HWY_ATTR {
-    float* const to = entry_sums + e * stride;
+    float* const to = entry_sums + places[e] * stride;
     if (met.count == 0) {
       std::fill_n(to, stride, 0.0f);
       return;
@@ -341,12 +341,13 @@ void backward_tile(const GaussianScene& scene, const SplatTile& tile, GaussianWo
     all_channels_backward<kChannels>(met, scene.features + r.source * channels, channels, sums);
     exponent_backward(met, sums);
     float* const total = sums + rounded * kLanes;
-    std::fill_n(total, rounded, 0.0f);
+    std::memset(total, 0, rounded * sizeof(float));
     add_lane_sums(sums, rounded, total);
-    std::copy_n(total, stride, to);
+    for (size_t k = 0; k < stride; ++k) to[k] = total[k];
   };
   const size_t used = walk_gaussians(scene, tile, alive, begin, visit, end);
-  std::fill_n(entry_sums + used * stride, (tile.count - used) * stride, 0.0f);
+  for (size_t e = used; e < tile.count; ++e)
+    std::fill_n(entry_sums + places[e] * stride, stride, 0.0f);
   if (!d_background) return;
   for (size_t c = 0; c < channels; ++c) {
     Vf sum = hn::Zero(df);
@@ -358,11 +359,13 @@ void backward_tile(const GaussianScene& scene, const SplatTile& tile, GaussianWo
   }
 }
 
-void backward(const GaussianScene& scene, const SplatTile& tile, GaussianWorkspace& ws,
-              float* entry_sums, float* d_background) {
-  if (scene.channels == 3) return backward_tile<3>(scene, tile, ws, entry_sums, d_background);
-  if (scene.channels == 10) return backward_tile<10>(scene, tile, ws, entry_sums, d_background);
-  backward_tile<0>(scene, tile, ws, entry_sums, d_background);
+void backward(const GaussianTarget& scene, const SplatTile& tile, GaussianWorkspace& ws,
+              const uint32_t* places, float* entry_sums, float* d_background) {
+  if (scene.channels == 3)
+    return backward_tile<3>(scene, tile, ws, places, entry_sums, d_background);
+  if (scene.channels == 10)
+    return backward_tile<10>(scene, tile, ws, places, entry_sums, d_background);
+  backward_tile<0>(scene, tile, ws, places, entry_sums, d_background);
 }
 
 GaussianKernels kernels() {

@@ -14,7 +14,7 @@ namespace effigy {
 
 // What every tile of a frame shares. Plane p of pixel (x, y) is at p * plane_size + y * row_size +
 // x; plane 0 is alpha, plane 1 + c channel c.
-struct GaussianScene {
+struct GaussianTarget {
   const GaussianRecord* records = nullptr;
   const float* features = nullptr;    // channels of every source
   const float* background = nullptr;  // channels
@@ -37,11 +37,12 @@ struct alignas(64) GaussianWorkspace {
 
 struct GaussianKernels {
   // Draws the tile; sets pairs and used.
-  void (*forward)(const GaussianScene&, const SplatTile&, GaussianWorkspace&);
-  // Writes GaussianSums::kCount + channels floats for every entry of the tile, and the derivative
-  // with respect to the background, channels floats, unless that is null.
-  void (*backward)(const GaussianScene&, const SplatTile&, GaussianWorkspace&, float* entry_sums,
-                   float* d_background);
+  void (*forward)(const GaussianTarget&, const SplatTile&, GaussianWorkspace&);
+  // Writes GaussianSums::kCount + channels floats for every entry of the tile, at the place that
+  // `places` gives it, and the derivative with respect to the background, channels floats, unless
+  // that is null.
+  void (*backward)(const GaussianTarget&, const SplatTile&, GaussianWorkspace&,
+                   const uint32_t* places, float* entry_sums, float* d_background);
   const char* target;  // name of the instruction set
 };
 

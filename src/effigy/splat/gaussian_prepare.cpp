@@ -20,7 +20,7 @@ constexpr float kLargestOutline = 1e6f;
 // Variances (squared pixels) beyond which single precision could overflow.
 constexpr double kSmallest = 1e-16, kLargest = 1e20;
 // Exponents that 2^x can still represent; alpha is clamped far below.
-constexpr double kLargestLog2Opacity = 100.0;
+constexpr float kLargestLog2Opacity = 100.0f;
 
 // Gaussians are projected a block at a time, every quantity an array over the block, so that the
 // loops become vector instructions.
@@ -156,7 +156,7 @@ inline double log2_of(float x) {
   const double fx = p.fx, fy = p.fy, cx = p.cx, cy = p.cy;
   for (size_t i = 0; i < kBlock; ++i) {
     const double log2_opacity = log2_of(opacity[i]);
-    d.log2_opacity[i] = static_cast<float>(std::min(log2_opacity, kLargestLog2Opacity));
+    d.log2_opacity[i] = static_cast<float>(log2_opacity);
     const double reach2 = (log2_opacity + kLog2OverMinAlpha) * (1.0 / kHalfLog2E);
     const double mean_x = fx * f.px[i] + cx, mean_y = fy * f.py[i] + cy;
     // Rounds to whole numbers.
@@ -221,7 +221,7 @@ inline void make_record(const Drawn& d, size_t i, GaussianRecord& r) {
   r.a = d.a[i];
   r.b = d.b[i];
   r.c = d.c[i];
-  r.log2_opacity = d.log2_opacity[i];
+  r.log2_opacity = std::min(d.log2_opacity[i], kLargestLog2Opacity);
 }
 
 bool finite(std::span<const float> values, size_t first, size_t count) {
@@ -231,9 +231,10 @@ bool finite(std::span<const float> values, size_t first, size_t count) {
 }
 
 EFFIGY_CLONES
-void project_range(const Projector& projector, const Camera& camera, const GaussianView& g,
+void project_range(const Projector& of_frame, const Camera& camera, const GaussianView& g,
                    const GaussianRasterOptions& options, size_t begin, size_t end,
                    GaussianList& list) {
+  const Projector projector = of_frame;  // a copy that nothing else can write to
   Inputs in;
   Projected out;
   Drawn drawn;
@@ -262,78 +263,102 @@ void project_range(const Projector& projector, const Camera& camera, const Gauss
 
 // Derivatives with respect to the inputs of a block.
 struct Derivatives {
-  Lane center[3], rotation[4], scale[3], log_opacity;
+  Lane center[3], rotation[4], scale[3];
 };
 
-// `sums`: the GaussianSums of the block.
-[[gnu::always_inline]] inline void project_backward(const Projector& p, const Inputs& in,
-                                                    const Projected& f, bool compensate,
-                                                    const Lane* sums, Derivatives& d) {
+// Derivatives with respect to the means and J W.
+struct Between {
+  Lane gxx, gxy, gyy, mean_x,
+      mean_y;  // C = [[xx, xy], [xy, yy]]: d loss = gxx dxx + 2 gxy dxy + ...
+  Lane jwr[6], jw[6], rotation[9];
+};
+
+// From sums over pixels to the mean and C. `sums`: the GaussianSums of the block.
+[[gnu::always_inline]] inline void screen_backward(const Projected& f, const Lane* sums,
+                                                   Between& d) {
   constexpr double kInverse = 1.0 / kHalfLog2E;
   const double inverse_scale = std::sqrt(kInverse);  // of the kernels' u and v
   for (size_t i = 0; i < kBlock; ++i) {
-    const double one = sums[GaussianSums::kOne][i];
     const double u = inverse_scale * sums[GaussianSums::kU][i];
     const double v = inverse_scale * sums[GaussianSums::kV][i];
     const double uu = kInverse * sums[GaussianSums::kUU][i];
     const double uv = kInverse * sums[GaussianSums::kUV][i];
     const double vv = kInverse * sums[GaussianSums::kVV][i];
-    d.log_opacity[i] = one;
     // C^-1 = L L^T, (u, v) = L^T d: d ln alpha / d mean = L (u, v), d / d C = L (u, v)(u, v)^T
     // L^T/2.
     const double l00 = 1.0 / std::sqrt(f.k[i]), l10 = -f.slope[i] * l00;
     const double l11 = 1.0 / std::sqrt(f.yy[i]);
-    const double mean_x = l00 * u, mean_y = l10 * u + l11 * v;
-    double gxx = 0.5 * l00 * l00 * uu;
-    double gxy = 0.5 * l00 * (l10 * uu + l11 * uv);
-    double gyy = 0.5 * (l10 * l10 * uu + 2.0 * l10 * l11 * uv + l11 * l11 * vv);
-    if (compensate) {
-      // ln of the factor is (ln bare_det - ln det) / 2.
-      const double bare = 0.5 * one / f.bare_det[i], full = 0.5 * one / f.det[i];
-      gxx += bare * (f.yy[i] - p.blur) - full * f.yy[i];
-      gyy += bare * (f.xx[i] - p.blur) - full * f.xx[i];
-      gxy -= (bare - full) * f.xy[i];
-    }
-    // C = v v^T, v = J W R diag(scale).
-    double d_jwr[6], d_jw[6];
-    for (int k = 0; k < 3; ++k) {
-      const double d0 = 2.0 * (gxx * f.v[k][i] + gxy * f.v[3 + k][i]);
-      const double d1 = 2.0 * (gxy * f.v[k][i] + gyy * f.v[3 + k][i]);
+    d.mean_x[i] = l00 * u;
+    d.mean_y[i] = l10 * u + l11 * v;
+    d.gxx[i] = 0.5 * l00 * l00 * uu;
+    d.gxy[i] = 0.5 * l00 * (l10 * uu + l11 * uv);
+    d.gyy[i] = 0.5 * (l10 * l10 * uu + 2.0 * l10 * l11 * uv + l11 * l11 * vv);
+  }
+}
+
+// ln of the opacity's factor is (ln bare_det - ln det) / 2.
+[[gnu::always_inline]] inline void compensation_backward(const Projector& p, const Projected& f,
+                                                         const Lane* sums, Between& d) {
+  for (size_t i = 0; i < kBlock; ++i) {
+    const double one = sums[GaussianSums::kOne][i];
+    const double bare = 0.5 * one / f.bare_det[i], full = 0.5 * one / f.det[i];
+    d.gxx[i] += bare * (f.yy[i] - p.blur) - full * f.yy[i];
+    d.gyy[i] += bare * (f.xx[i] - p.blur) - full * f.xx[i];
+    d.gxy[i] -= (bare - full) * f.xy[i];
+  }
+}
+
+[[gnu::always_inline]] inline void project_backward(const Projector& p, const Inputs& in,
+                                                    const Projected& f, Between& b,
+                                                    Derivatives& d) {
+  // C = v v^T, v = J W R diag(scale).
+  for (int k = 0; k < 3; ++k)
+    for (size_t i = 0; i < kBlock; ++i) {
+      const double d0 = 2.0 * (b.gxx[i] * f.v[k][i] + b.gxy[i] * f.v[3 + k][i]);
+      const double d1 = 2.0 * (b.gxy[i] * f.v[k][i] + b.gyy[i] * f.v[3 + k][i]);
       d.scale[k][i] = d0 * f.jwr[k][i] + d1 * f.jwr[3 + k][i];
-      d_jwr[k] = d0 * in.scale[k][i];
-      d_jwr[3 + k] = d1 * in.scale[k][i];
+      b.jwr[k][i] = d0 * in.scale[k][i];
+      b.jwr[3 + k][i] = d1 * in.scale[k][i];
     }
-    double g[9];
-    for (int r = 0; r < 3; ++r) {
-      for (int c = 0; c < 3; ++c)
-        g[3 * r + c] = f.jw[r][i] * d_jwr[c] + f.jw[3 + r][i] * d_jwr[3 + c];
-      for (int h = 0; h < 2; ++h)
-        d_jw[3 * h + r] = d_jwr[3 * h] * f.rotation[3 * r][i] +
-                          d_jwr[3 * h + 1] * f.rotation[3 * r + 1][i] +
-                          d_jwr[3 * h + 2] * f.rotation[3 * r + 2][i];
-    }
-    // J W = (fx / z)(W_0 - (x / z) W_2), (fy / z)(W_1 - (y / z) W_2); mean = fx x / z + cx, ...
+  for (int r = 0; r < 3; ++r) {
+    for (int c = 0; c < 3; ++c)
+      for (size_t i = 0; i < kBlock; ++i)
+        b.rotation[3 * r + c][i] = f.jw[r][i] * b.jwr[c][i] + f.jw[3 + r][i] * b.jwr[3 + c][i];
+    for (int h = 0; h < 2; ++h)
+      for (size_t i = 0; i < kBlock; ++i)
+        b.jw[3 * h + r][i] = b.jwr[3 * h][i] * f.rotation[3 * r][i] +
+                             b.jwr[3 * h + 1][i] * f.rotation[3 * r + 1][i] +
+                             b.jwr[3 * h + 2][i] * f.rotation[3 * r + 2][i];
+  }
+  // J W = (fx / z)(W_0 - (x / z) W_2), (fy / z)(W_1 - (y / z) W_2); mean = fx x / z + cx, ...
+  for (size_t i = 0; i < kBlock; ++i) {
     const double inverse_z = 1.0 / f.z[i];
-    const double dot0 = d_jw[0] * p.w[6] + d_jw[1] * p.w[7] + d_jw[2] * p.w[8];
-    const double dot1 = d_jw[3] * p.w[6] + d_jw[4] * p.w[7] + d_jw[5] * p.w[8];
-    const double d_px = p.fx * (mean_x - inverse_z * dot0);
-    const double d_py = p.fy * (mean_y - inverse_z * dot1);
-    double d_log = 0.0;  // of 1 / z in front of both rows
-    for (int k = 0; k < 3; ++k) d_log += d_jw[k] * f.jw[k][i] + d_jw[3 + k] * f.jw[3 + k][i];
+    const double dot0 = b.jw[0][i] * p.w[6] + b.jw[1][i] * p.w[7] + b.jw[2][i] * p.w[8];
+    const double dot1 = b.jw[3][i] * p.w[6] + b.jw[4][i] * p.w[7] + b.jw[5][i] * p.w[8];
+    const double d_px = p.fx * (b.mean_x[i] - inverse_z * dot0);
+    const double d_py = p.fy * (b.mean_y[i] - inverse_z * dot1);
+    // Of 1 / z in front of both rows.
+    const double d_log = b.jw[0][i] * f.jw[0][i] + b.jw[1][i] * f.jw[1][i] +
+                         b.jw[2][i] * f.jw[2][i] + b.jw[3][i] * f.jw[3][i] +
+                         b.jw[4][i] * f.jw[4][i] + b.jw[5][i] * f.jw[5][i];
     const double dx = d_px * inverse_z, dy = d_py * inverse_z;
     const double dz = -inverse_z * (d_px * f.px[i] + d_py * f.py[i] + d_log);
-    for (int k = 0; k < 3; ++k) d.center[k][i] = p.w[k] * dx + p.w[3 + k] * dy + p.w[6 + k] * dz;
-    // R of q / |q|.
+    d.center[0][i] = p.w[0] * dx + p.w[3] * dy + p.w[6] * dz;
+    d.center[1][i] = p.w[1] * dx + p.w[4] * dy + p.w[7] * dz;
+    d.center[2][i] = p.w[2] * dx + p.w[5] * dy + p.w[8] * dz;
+  }
+  // R of q / |q|.
+  const Lane* const g = b.rotation;
+  for (size_t i = 0; i < kBlock; ++i) {
     const double n = f.inverse_length[i];
     const double w = n * in.rotation[0][i], x = n * in.rotation[1][i];
     const double y = n * in.rotation[2][i], z = n * in.rotation[3][i];
-    const double dw = 2.0 * (x * (g[7] - g[5]) + y * (g[2] - g[6]) + z * (g[3] - g[1]));
-    const double d1 =
-        2.0 * (y * (g[1] + g[3]) + z * (g[2] + g[6]) + w * (g[7] - g[5]) - 2.0 * x * (g[4] + g[8]));
-    const double d2 =
-        2.0 * (x * (g[1] + g[3]) + z * (g[5] + g[7]) + w * (g[2] - g[6]) - 2.0 * y * (g[0] + g[8]));
-    const double d3 =
-        2.0 * (x * (g[2] + g[6]) + y * (g[5] + g[7]) + w * (g[3] - g[1]) - 2.0 * z * (g[0] + g[4]));
+    const double yz = g[7][i] - g[5][i], zx = g[2][i] - g[6][i], xy = g[3][i] - g[1][i];
+    const double s_yz = g[7][i] + g[5][i], s_zx = g[2][i] + g[6][i], s_xy = g[3][i] + g[1][i];
+    const double dw = 2.0 * (x * yz + y * zx + z * xy);
+    const double d1 = 2.0 * (y * s_xy + z * s_zx + w * yz - 2.0 * x * (g[4][i] + g[8][i]));
+    const double d2 = 2.0 * (x * s_xy + z * s_yz + w * zx - 2.0 * y * (g[0][i] + g[8][i]));
+    const double d3 = 2.0 * (x * s_zx + y * s_yz + w * xy - 2.0 * z * (g[0][i] + g[4][i]));
     const double along = dw * w + d1 * x + d2 * y + d3 * z;
     d.rotation[0][i] = n * (dw - along * w);
     d.rotation[1][i] = n * (d1 - along * x);
@@ -343,11 +368,13 @@ struct Derivatives {
 }
 
 EFFIGY_CLONES
-void backward_range(const Projector& projector, const GaussianView& g, bool compensate,
+void backward_range(const Projector& of_frame, const GaussianView& g, bool compensate,
                     const GaussianList& list, size_t begin, size_t end, const EntrySums& entries,
                     const GaussianGradients& gradients) {
+  const Projector projector = of_frame;  // a copy that nothing else can write to
   Inputs in;
   Projected out;
+  Between between;
   Derivatives d;
   Lane sums[GaussianSums::kCount] = {};
   uint32_t index[kBlock];
@@ -373,7 +400,9 @@ void backward_range(const Projector& projector, const GaussianView& g, bool comp
     }
     load_block(g, index, count, in);
     project(projector, in, out);
-    project_backward(projector, in, out, compensate, sums, d);
+    screen_backward(out, sums, between);
+    if (compensate) compensation_backward(projector, out, sums, between);
+    project_backward(projector, in, out, between, d);
     for (size_t i = 0; i < count; ++i) {
       const size_t s = index[i];
       for (size_t k = 0; k < 3; ++k)
@@ -383,7 +412,7 @@ void backward_range(const Projector& projector, const GaussianView& g, bool comp
       for (size_t k = 0; k < 3; ++k)
         gradients.scale[3 * s + k] += static_cast<float>(d.scale[k][i]);
       gradients.opacity[s] +=
-          static_cast<float>(d.log_opacity[i] / static_cast<double>(g.opacity[s]));
+          static_cast<float>(sums[GaussianSums::kOne][i] / static_cast<double>(g.opacity[s]));
     }
   }
 }

@@ -47,7 +47,7 @@ struct GaussianSums {
   enum : int { kOne = 0, kU, kV, kUU, kUV, kVV, kCount };
 };
 
-// The sums of every entry of the tiles' lists, `stride` floats each.
+// The sums of every entry, `stride` floats each, at the entry's place in `bins`.
 struct EntrySums {
   const TileBins& bins;
   const float* values;
@@ -55,15 +55,15 @@ struct EntrySums {
 
   // Adds those of record k, tile by tile.
   void add(size_t k, double* total) const {
-    for (uint32_t p = bins.first_place[k]; p < bins.first_place[k + 1]; ++p) {
-      const float* entry = values + bins.places[p] * stride;
+    const float* end = values + bins.first_place[k + 1] * stride;
+    for (const float* entry = values + bins.first_place[k] * stride; entry < end; entry += stride)
       for (size_t i = 0; i < stride; ++i) total[i] += static_cast<double>(entry[i]);
-    }
   }
-  // Fetches them into the cache.
+  // Fetches the first of them into the cache.
   void prefetch(size_t k) const {
-    for (uint32_t p = bins.first_place[k]; p < bins.first_place[k + 1]; ++p)
-      __builtin_prefetch(values + bins.places[p] * stride);
+    const auto* at = reinterpret_cast<const char*>(values + bins.first_place[k] * stride);
+    __builtin_prefetch(at);
+    __builtin_prefetch(at + 64);
   }
 };
 

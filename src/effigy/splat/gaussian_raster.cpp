@@ -69,8 +69,8 @@ struct GaussianFrame::State {
     while (workspaces.size() < static_cast<size_t>(slots))
       workspaces.push_back(std::make_unique<GaussianWorkspace>());
   }
-  GaussianScene scene(const GaussianView& g) const {
-    GaussianScene s;
+  GaussianTarget scene(const GaussianView& g) const {
+    GaussianTarget s;
     s.records = list.records.data();
     s.features = g.features.data();
     s.background = background.data();
@@ -118,7 +118,7 @@ void render_gaussians(const Camera& camera, const GaussianView& gaussians,
              });
   state.background = options.background;
   state.background.resize(static_cast<size_t>(gaussians.channels), 0.0f);
-  GaussianScene scene = state.scene(gaussians);
+  GaussianTarget scene = state.scene(gaussians);
   scene.image = image.data.data();
   scene.plane_size = image.pixels();
   scene.row_size = static_cast<size_t>(image.width);
@@ -154,7 +154,7 @@ void render_gaussians_backward(const Camera& camera, const GaussianView& gaussia
     EFFIGY_CHECK_EQ(p->count, 1 + gaussians.channels);
   }
   EFFIGY_CHECK_EQ(state.list.all_records.size(), gaussians.count());
-  GaussianScene scene = state.scene(gaussians);
+  GaussianTarget scene = state.scene(gaussians);
   scene.image = const_cast<float*>(image.data.data());  // read only
   scene.d_image = d_image.data.data();
   scene.plane_size = image.pixels();
@@ -167,12 +167,13 @@ void render_gaussians_backward(const Camera& camera, const GaussianView& gaussia
   const GaussianKernels kernels = chosen_kernels();
   state.for_each_tile([&](int t, GaussianWorkspace& ws) {
     SplatTile tile = make_tile(camera, state.bins, t);
-    float* sums = state.entry_sums.data() + state.bins.begin[static_cast<size_t>(t)] * stride;
+    const uint32_t* places = state.bins.places.data() + state.bins.begin[static_cast<size_t>(t)];
+    float* const sums = state.entry_sums.data();
     const size_t used = state.tile_used[static_cast<size_t>(t)];
-    std::fill_n(sums + used * stride, (tile.count - used) * stride, 0.0f);
+    for (size_t e = used; e < tile.count; ++e) std::fill_n(sums + places[e] * stride, stride, 0.0f);
     tile.count = used;
     if (used == 0 && !wanted) return;
-    kernels.backward(scene, tile, ws, sums,
+    kernels.backward(scene, tile, ws, places, sums,
                      wanted ? d_background.data() + static_cast<size_t>(t) * channels : nullptr);
   });
   gaussians_backward(camera, gaussians, options, state.list,

@@ -19,6 +19,14 @@ struct SplatScene {
   PosedSurfels surfels;
 };
 
+// What a folder describes: `kind` in scene.json, surfels when it is missing. Throws Error for
+// others.
+enum class SplatSceneKind { kSurfels, kGaussians };
+SplatSceneKind splat_scene_kind(const Path& folder);
+
+// A camera alone: a JSON file with the fields of `camera`, or with an object `camera`.
+Camera read_scene_camera(const Path& file);
+
 // Everything is checked: sizes, lengths, finite values, a camera that is a rigid motion. Throws
 // Error naming file and field.
 SplatScene read_splat_scene(const Path& folder);

@@ -100,7 +100,7 @@ void finish_bins(size_t splats, bool places, TileBins& bins) {
       for (int tx = span.first; tx <= span.last; ++tx) {
         const uint32_t entry = next[tx]++;
         bins.entries[entry] = span.splat;
-        bins.places[at++] = entry;
+        bins.places[entry] = at++;
       }
     }
     if (places)

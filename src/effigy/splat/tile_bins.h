@@ -36,9 +36,9 @@ struct TileBins {
   int columns = 0, rows = 0;
   std::vector<uint32_t> begin;    // columns * rows + 1
   std::vector<uint32_t> entries;  // splats
-  // Only when asked for: the entries of splat k are at places[first_place[k] ..
-  // first_place[k + 1]).
-  std::vector<uint32_t> first_place, places;
+  // Only when asked for: every entry has a place, those of splat k are first_place[k] ..
+  // first_place[k + 1].
+  std::vector<uint32_t> places, first_place;
   // Scratch of bin_splats, kept to keep its memory; of every slot.
   std::vector<std::vector<TileSpan>> spans;
   std::vector<std::vector<uint32_t>> next;
