@@ -53,9 +53,8 @@ T zonal_value(const T* z, T cosine) {
 // Spherical harmonics (sh_count(kZonalOrder)) of a lobe about the unit `axis`: its rotation.
 template <class T>
 void zonal_to_sh(const T* z, const T* axis, T* sh) {
-  for_each_sh(kZonalOrder, axis, [&](int l, int m, T value, const T*) {
-    sh[l * l + l + m] = z[l] * value;
-  });
+  for_each_sh(kZonalOrder, axis,
+              [&](int l, int m, T value, const T*) { sh[l * l + l + m] = z[l] * value; });
 }
 
 // z of max(0, cosine) / pi: a Lambertian surface of albedo 1 about its normal. Within 0.034 / pi of

@@ -58,27 +58,29 @@ void DepthSort::sort(const std::vector<uint8_t>& seen, const std::vector<double>
                      std::vector<uint32_t>& order) {
   keys_.clear();
   index_.clear();
-  uint32_t all = 0, common = ~uint32_t{0};
+  uint32_t least = ~uint32_t{0}, most = 0;
   for (size_t i = 0; i < seen.size(); ++i) {
     if (!seen[i]) continue;
     const uint32_t key = sortable(static_cast<float>(depth[i]));
     keys_.push_back(key);
     index_.push_back(static_cast<uint32_t>(i));
-    all |= key;
-    common &= key;
+    least = std::min(least, key);
+    most = std::max(most, key);
   }
   const size_t n = keys_.size();
   next_keys_.resize(n);
   next_.resize(n);
   const int slots = std::clamp(static_cast<int>(n / kGrain), 1, thread_count());
-  for (int shift = 0; shift < 32; shift += kBits) {
-    // Bits that all keys share sort nothing.
-    if ((((all ^ common) >> shift) & (kBuckets - 1)) == 0) continue;
-    radix_pass(shift, keys_, index_, next_keys_, next_, count_, slots);
+  // Two passes are enough to bring splats of about the same depth together.
+  int drop = 0;
+  while (n > 0 && (most - least) >> drop >= kBuckets * kBuckets) ++drop;
+  for (uint32_t& key : keys_) key = (key - least) >> drop;
+  for (int pass = 0; pass < 2 && n > 1; ++pass) {
+    radix_pass(pass * kBits, keys_, index_, next_keys_, next_, count_, slots);
     keys_.swap(next_keys_);
     index_.swap(next_);
   }
-  // Depths that round to the same float.
+  // Within about the same depth by the depth itself.
   for (size_t begin = 0; begin < n;) {
     size_t end = begin + 1;
     while (end < n && keys_[end] == keys_[begin]) ++end;

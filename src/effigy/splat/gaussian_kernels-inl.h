@@ -90,7 +90,7 @@ HWY_INLINE Meeting meet(const GaussianRow& row, size_t vector, float* transmitta
 }
 
 // Calls visit(row, vector) for every vector of pixels that the tile's Gaussians reach, front to
-// back, and begin / end(entry, record) around each Gaussian. Returns the number of entries walked.
+// back, and begin(id), end(entry, id) around each Gaussian. Returns the number of entries walked.
 template <class Begin, class Visit, class End>
 HWY_INLINE size_t walk_gaussians(const GaussianTarget& scene, const SplatTile& tile,
                                  VectorSet& alive, const Begin& begin, const Visit& visit,
@@ -98,18 +98,18 @@ HWY_INLINE size_t walk_gaussians(const GaussianTarget& scene, const SplatTile& t
   GaussianRow row;
   size_t e = 0;
   for (; e < tile.count && alive.count != 0; ++e) {
-    const GaussianRecord& r = scene.records[tile.entries[e]];
+    const uint32_t id = tile.entries[e];
     if (e + 8 < tile.count) {
       hwy::Prefetch(scene.records + tile.entries[e + 8]);
-      hwy::Prefetch(scene.features + scene.records[tile.entries[e + 2]].source * scene.channels);
+      hwy::Prefetch(scene.features + tile.entries[e + 8] * scene.channels);
     }
-    find_gaussian(r, tile, row);
-    begin(e, r);
+    find_gaussian(scene.records[id], tile, row);
+    begin(id);
     for (size_t w = 0; w < kWords; ++w) {
       for (uint32_t bits = row.reach[w] & alive.words[w]; bits != 0; bits &= bits - 1)
         visit(row, 32 * w + hwy::Num0BitsBelowLS1Bit_Nonzero32(bits));
     }
-    end(e, r);
+    end(e, id);
   }
   return e;
 }
@@ -138,8 +138,7 @@ void forward_tile(const GaussianTarget& scene, const SplatTile& tile, GaussianWo
   begin_tile(tile, planes, kT, -1.0f, block, alive);
   const float* feature = nullptr;
   Vi pairs = hn::Zero(di);
-  const auto begin = [&](size_t, const GaussianRecord& r)
-                         HWY_ATTR { feature = scene.features + r.source * channels; };
+  const auto begin = [&](uint32_t id) HWY_ATTR { feature = scene.features + id * channels; };
   const auto visit = [&](const GaussianRow& row, size_t vector) HWY_ATTR {
     float* const pixels = block + vector * kLanes * planes;
     const Meeting m = meet(row, vector, pixels, alive);
@@ -148,7 +147,7 @@ void forward_tile(const GaussianTarget& scene, const SplatTile& tile, GaussianWo
     float* const sums = pixels + kForwardFeatures * kLanes;
     for (size_t c = 0; c < channels; ++c) add_product(sums + c * kLanes, w, set(feature[c]));
   };
-  const auto end = [](size_t, const GaussianRecord&) HWY_ATTR {};
+  const auto end = [](size_t, uint32_t) HWY_ATTR {};
   ws.used = walk_gaussians(scene, tile, alive, begin, visit, end);
   ws.pairs = hn::GetLane(hn::SumOfLanes(di, pairs));
   for (size_t at = 0; at < kTilePixels; at += kLanes) {
@@ -317,7 +316,7 @@ void backward_tile(const GaussianTarget& scene, const SplatTile& tile, GaussianW
   VectorSet alive;
   begin_tile(tile, planes, kT, -1.0f, block, alive);
   MetVectors met;
-  const auto begin = [&](size_t, const GaussianRecord&) HWY_ATTR { met.count = 0; };
+  const auto begin = [&](uint32_t) HWY_ATTR { met.count = 0; };
   const auto visit = [&](const GaussianRow& row, size_t vector) HWY_ATTR {
     float* const pixels = block + vector * kLanes * planes;
     const Meeting m = meet(row, vector, pixels, alive);
@@ -332,13 +331,13 @@ void backward_tile(const GaussianTarget& scene, const SplatTile& tile, GaussianW
     store(hn::Mul(alpha, m.before), met.w + k);
     store(load(pixels + kDerivatives * kLanes), met.d_w + k);
   };
-  const auto end = [&](size_t e, const GaussianRecord& r) HWY_ATTR {
+  const auto end = [&](size_t e, uint32_t id) HWY_ATTR {
     float* const to = entry_sums + places[e] * stride;
     if (met.count == 0) {
       std::fill_n(to, stride, 0.0f);
       return;
     }
-    all_channels_backward<kChannels>(met, scene.features + r.source * channels, channels, sums);
+    all_channels_backward<kChannels>(met, scene.features + id * channels, channels, sums);
     exponent_backward(met, sums);
     float* const total = sums + rounded * kLanes;
     std::memset(total, 0, rounded * sizeof(float));

@@ -16,7 +16,7 @@ namespace effigy {
 // x; plane 0 is alpha, plane 1 + c channel c.
 struct GaussianTarget {
   const GaussianRecord* records = nullptr;
-  const float* features = nullptr;    // channels of every source
+  const float* features = nullptr;    // channels of every Gaussian
   const float* background = nullptr;  // channels
   size_t channels = 0;
   float* image = nullptr;          // forward writes, backward reads

@@ -57,7 +57,31 @@ struct Projected {
   Lane slope, k;
 };
 
-void load_block(const GaussianView& g, const uint32_t* index, size_t count, Inputs& in) {
+// The Gaussians index[0 .. count), the first one again in what remains of the block.
+[[gnu::always_inline]] inline void load_block(const GaussianView& g, const uint32_t* index,
+                                              size_t count, Inputs& in) {
+  if (count == kBlock && index[kBlock - 1] == index[0] + kBlock - 1) {  // neighbours
+    const float* center = g.center.data() + 3 * static_cast<size_t>(index[0]);
+    const float* rotation = g.rotation.data() + 4 * static_cast<size_t>(index[0]);
+    const float* scale = g.scale.data() + 3 * static_cast<size_t>(index[0]);
+    for (size_t i = 0; i < kBlock; ++i) {
+      in.center[0][i] = static_cast<double>(center[3 * i]);
+      in.center[1][i] = static_cast<double>(center[3 * i + 1]);
+      in.center[2][i] = static_cast<double>(center[3 * i + 2]);
+    }
+    for (size_t i = 0; i < kBlock; ++i) {
+      in.scale[0][i] = static_cast<double>(scale[3 * i]);
+      in.scale[1][i] = static_cast<double>(scale[3 * i + 1]);
+      in.scale[2][i] = static_cast<double>(scale[3 * i + 2]);
+    }
+    for (size_t i = 0; i < kBlock; ++i) {
+      in.rotation[0][i] = static_cast<double>(rotation[4 * i]);
+      in.rotation[1][i] = static_cast<double>(rotation[4 * i + 1]);
+      in.rotation[2][i] = static_cast<double>(rotation[4 * i + 2]);
+      in.rotation[3][i] = static_cast<double>(rotation[4 * i + 3]);
+    }
+    return;
+  }
   for (size_t i = 0; i < kBlock; ++i) {
     const size_t s = index[i < count ? i : 0];
     for (size_t k = 0; k < 3; ++k) in.center[k][i] = static_cast<double>(g.center[3 * s + k]);
@@ -255,8 +279,7 @@ void project_range(const Projector& of_frame, const Camera& camera, const Gaussi
       list.seen[s] =
           is_seen(out, drawn, i, opacity[i], static_cast<double>(options.near)) &&
           finite(g.features, s * static_cast<size_t>(g.channels), static_cast<size_t>(g.channels));
-      make_record(drawn, i, list.all_records[s]);
-      list.all_records[s].source = static_cast<uint32_t>(s);
+      if (list.seen[s]) make_record(drawn, i, list.records[s]);
     }
   }
 }
@@ -369,8 +392,8 @@ struct Between {
 
 EFFIGY_CLONES
 void backward_range(const Projector& of_frame, const GaussianView& g, bool compensate,
-                    const GaussianList& list, size_t begin, size_t end, const EntrySums& entries,
-                    const GaussianGradients& gradients) {
+                    const GaussianList& list, const std::vector<uint32_t>& rank, size_t begin,
+                    size_t end, const EntrySums& entries, const GaussianGradients& gradients) {
   const Projector projector = of_frame;  // a copy that nothing else can write to
   Inputs in;
   Projected out;
@@ -389,10 +412,10 @@ void backward_range(const Projector& of_frame, const GaussianView& g, bool compe
     for (; next < end && count < kBlock; ++next)
       if (list.seen[next]) index[count++] = static_cast<uint32_t>(next);
     if (count == 0) return;
-    for (size_t i = 0; i < count; ++i) entries.prefetch(list.rank[index[i]]);
+    for (size_t i = 0; i < count; ++i) entries.prefetch(rank[index[i]]);
     for (size_t i = 0; i < count; ++i) {
       std::fill_n(total, stride, 0.0);
-      entries.add(list.rank[index[i]], total);
+      entries.add(rank[index[i]], total);
       for (size_t k = 0; k < GaussianSums::kCount; ++k) sums[k][i] = total[k];
       for (size_t c = 0; c < channels; ++c)
         gradients.features[channels * index[i] + c] +=
@@ -423,31 +446,24 @@ void prepare_gaussians(const Camera& camera, const GaussianView& gaussians,
                        const GaussianRasterOptions& options, GaussianList& list) {
   const size_t n = gaussians.count();
   const Projector projector(camera, options);
-  list.all_records.resize(n);
+  list.records.resize(n);
   list.seen.resize(n);
   list.depth.resize(n);
   parallel_for(n, 1024, [&](size_t begin, size_t end, int) {
     project_range(projector, camera, gaussians, options, begin, end, list);
   });
   list.sort.sort(list.seen, list.depth, list.order);
-  list.records.resize(list.order.size());
-  list.rank.resize(n);
-  parallel_for(list.order.size(), 4096, [&](size_t begin, size_t end, int) {
-    constexpr size_t kAhead = 8;
-    for (size_t k = begin; k < end; ++k) {
-      if (k + kAhead < end) __builtin_prefetch(&list.all_records[list.order[k + kAhead]]);
-      list.records[k] = list.all_records[list.order[k]];
-      list.rank[list.order[k]] = static_cast<uint32_t>(k);
-    }
-  });
 }
 
 void gaussians_backward(const Camera& camera, const GaussianView& gaussians,
                         const GaussianRasterOptions& options, const GaussianList& list,
                         const EntrySums& entries, const GaussianGradients& gradients) {
   const Projector projector(camera, options);
+  std::vector<uint32_t> rank(gaussians.count());
+  for (size_t k = 0; k < list.order.size(); ++k) rank[list.order[k]] = static_cast<uint32_t>(k);
   parallel_for(gaussians.count(), 512, [&](size_t begin, size_t end, int) {
-    backward_range(projector, gaussians, options.compensate, list, begin, end, entries, gradients);
+    backward_range(projector, gaussians, options.compensate, list, rank, begin, end, entries,
+                   gradients);
   });
 }
 

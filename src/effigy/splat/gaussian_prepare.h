@@ -22,21 +22,17 @@ struct alignas(64) GaussianRecord {
   EllipseOutline outline;    // its centre is the mean
   float a, b, c;
   float log2_opacity;
-  uint32_t source;  // index into GaussianView
 };
 
 struct GaussianList {
-  std::vector<GaussianRecord> records;  // by depth, ties by index
-  // Scratch of prepare_gaussians, kept to keep its memory; per Gaussian of the view.
-  std::vector<GaussianRecord> all_records;
+  std::vector<GaussianRecord> records;  // per Gaussian of the view; only of those seen
   std::vector<uint8_t> seen;
   std::vector<double> depth;
-  std::vector<uint32_t> order;
-  std::vector<uint32_t> rank;  // index into records, where seen
+  std::vector<uint32_t> order;  // of those seen, by depth, ties by index
   DepthSort sort;
 };
 
-// Gaussians that can be seen, sorted by camera z.
+// Which Gaussians can be seen, and their order.
 void prepare_gaussians(const Camera& camera, const GaussianView& gaussians,
                        const GaussianRasterOptions& options, GaussianList& list);
 
@@ -53,7 +49,7 @@ struct EntrySums {
   const float* values;
   size_t stride;
 
-  // Adds those of record k, tile by tile.
+  // Adds those of Gaussian k in order of depth, tile by tile.
   void add(size_t k, double* total) const {
     const float* end = values + bins.first_place[k + 1] * stride;
     for (const float* entry = values + bins.first_place[k] * stride; entry < end; entry += stride)

@@ -98,7 +98,7 @@ int64_t GaussianFrame::pairs() const {
   return state->pairs;
 }
 size_t GaussianFrame::visible() const {
-  return state->list.records.size();
+  return state->list.order.size();
 }
 
 void render_gaussians(const Camera& camera, const GaussianView& gaussians,
@@ -111,9 +111,12 @@ void render_gaussians(const Camera& camera, const GaussianView& gaussians,
   image.data.resize(image.pixels() * static_cast<size_t>(image.count));
   prepare_gaussians(camera, gaussians, options, state.list);
   const std::vector<GaussianRecord>& records = state.list.records;
-  bin_splats(records.size(), camera.width, camera.height, true, state.bins,
-             [&](size_t i, const auto& emit) {
-               const GaussianRecord& r = records[i];
+  const std::vector<uint32_t>& order = state.list.order;
+  bin_splats(order.size(), order.data(), camera.width, camera.height, true, state.bins,
+             [&](size_t k, const auto& emit) {
+               constexpr size_t kAhead = 8;
+               if (k + kAhead < order.size()) __builtin_prefetch(&records[order[k + kAhead]]);
+               const GaussianRecord& r = records[order[k]];
                for_each_span(r.anchor_x, r.anchor_y, r.outline, camera.width, camera.height, emit);
              });
   state.background = options.background;
@@ -153,7 +156,7 @@ void render_gaussians_backward(const Camera& camera, const GaussianView& gaussia
     EFFIGY_CHECK_EQ(p->height, camera.height);
     EFFIGY_CHECK_EQ(p->count, 1 + gaussians.channels);
   }
-  EFFIGY_CHECK_EQ(state.list.all_records.size(), gaussians.count());
+  EFFIGY_CHECK_EQ(state.list.records.size(), gaussians.count());
   GaussianTarget scene = state.scene(gaussians);
   scene.image = const_cast<float*>(image.data.data());  // read only
   scene.d_image = d_image.data.data();

@@ -62,7 +62,7 @@ void begin_bins(int width, int height, size_t slots, TileBins& bins) {
   }
 }
 
-void finish_bins(size_t splats, bool places, TileBins& bins) {
+void finish_bins(size_t splats, const uint32_t* ids, bool places, TileBins& bins) {
   const size_t tiles = static_cast<size_t>(bins.count()), slots = bins.spans.size();
   bins.begin.resize(tiles + 1);
   std::vector<uint64_t> place(slots + 1, 0);  // of each slot's first span
@@ -92,14 +92,15 @@ void finish_bins(size_t splats, bool places, TileBins& bins) {
     for (const TileSpan& span : bins.spans[s]) {
       uint32_t* next =
           bins.next[s].data() + static_cast<size_t>(span.row) * static_cast<size_t>(bins.columns);
+      const uint32_t id = ids ? ids[span.splat] : span.splat;
       if (!places) {
-        for (int tx = span.first; tx <= span.last; ++tx) bins.entries[next[tx]++] = span.splat;
+        for (int tx = span.first; tx <= span.last; ++tx) bins.entries[next[tx]++] = id;
         continue;
       }
       while (splat <= span.splat) bins.first_place[splat++] = at;
       for (int tx = span.first; tx <= span.last; ++tx) {
         const uint32_t entry = next[tx]++;
-        bins.entries[entry] = span.splat;
+        bins.entries[entry] = id;
         bins.places[entry] = at++;
       }
     }

@@ -31,12 +31,13 @@ struct TileSpan {
   uint16_t row, first, last;
 };
 
-// Lists of splats (indices in order of depth, nearest first) of every tile, row by row.
+// Lists of splats, nearest first, of every tile, row by row.
 struct TileBins {
   int columns = 0, rows = 0;
   std::vector<uint32_t> begin;    // columns * rows + 1
-  std::vector<uint32_t> entries;  // splats
-  // Only when asked for: every entry has a place, those of splat k are first_place[k] ..
+  std::vector<uint32_t> entries;  // ids of splats
+  // Only when asked for: every entry has a place, those of splat k in order of depth are
+  // first_place[k] ..
   // first_place[k + 1].
   std::vector<uint32_t> places, first_place;
   // Scratch of bin_splats, kept to keep its memory; of every slot.
@@ -61,15 +62,16 @@ namespace detail {
 // Sizes the lists of `slots` slots.
 void begin_bins(int width, int height, size_t slots, TileBins& bins);
 // From each slot's spans and counts (next) to the lists.
-void finish_bins(size_t splats, bool places, TileBins& bins);
+void finish_bins(size_t splats, const uint32_t* ids, bool places, TileBins& bins);
 
 }  // namespace detail
 
-// Fills the lists of `splats` splats. find(splat, emit) calls emit(tile row, first column, last
-// column) for every row of tiles that the splat reaches; it is called from several threads.
+// Fills the lists of `splats` splats. find(k, emit) calls emit(tile row, first column, last column)
+// for every row of tiles that splat k in order of depth reaches; it is called from several threads.
+// `ids`: what the lists hold for each splat; null: k itself.
 template <class Find>
-void bin_splats(size_t splats, int width, int height, bool places, TileBins& bins,
-                const Find& find) {
+void bin_splats(size_t splats, const uint32_t* ids, int width, int height, bool places,
+                TileBins& bins, const Find& find) {
   constexpr size_t kGrain = 2048;
   const size_t slots = std::clamp<size_t>(splats / kGrain, 1, static_cast<size_t>(thread_count()));
   detail::begin_bins(width, height, slots, bins);
@@ -85,7 +87,7 @@ void bin_splats(size_t splats, int width, int height, bool places, TileBins& bin
         for (int tx = first; tx <= last; ++tx) ++counts[row * bins.columns + tx];
       });
   });
-  detail::finish_bins(splats, places, bins);
+  detail::finish_bins(splats, ids, places, bins);
 }
 
 // Pixels first..last whose centres lie in [low, high], cut to the image; none when last < first.

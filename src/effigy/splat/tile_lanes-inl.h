@@ -99,16 +99,6 @@ HWY_INLINE Vf lane_y() {
   return hn::ConvertTo(df, hn::ShiftRight<kBits>(hn::Iota(di, 0)));
 }
 
-// The bitwise or of the lanes.
-template <class D, class V>
-HWY_INLINE uint32_t or_lanes(D d, V v) {
-  HWY_ALIGN uint32_t lanes[kLanes];
-  hn::Store(v, d, lanes);
-  uint32_t all = 0;
-  for (size_t k = 0; k < kLanes; ++k) all |= lanes[k];
-  return all;
-}
-
 // Which rows of which columns of vectors a splat can reach: bit y of reach[j] is set when the
 // vector of column j whose top row is y has a pixel inside the outline.
 struct Reach {
@@ -196,33 +186,45 @@ struct VectorSet {
 // The vectors that have a pixel inside the ellipse; (x, y): centre of the tile's first pixel -
 // anchor. What lies outside the image is not left out.
 HWY_INLINE void vectors_in_ellipse(const EllipseOutline& o, float x, float y, uint32_t* words) {
-  constexpr size_t kRows = kTile / kWords;  // of pixels in a word
+  // A lane is a row of vectors; the rows of a word.
+  constexpr size_t kRows = kTile / kTall / kWords;
   const hn::RebindToUnsigned<Df> du;
-  const auto all = hn::Set(du, ~uint32_t{0});
-  // Where the bits of each lane's row go.
-  HWY_ALIGN uint32_t shifts[kLanes];
-  for (size_t k = 0; k < kLanes; ++k) shifts[k] = static_cast<uint32_t>(k / kTall * kColumns);
-  const auto shift = hn::Load(du, shifts);
   const Vf to_column = set(-x), last_column = set(static_cast<float>(kTile - 1));
+  const Vf zero = hn::Zero(df);
+  const auto all = hn::Set(du, ~uint32_t{0});
+  const auto lane = hn::Iota(du, 0);
+  // Where the bits of each lane's row go.
+  const auto place = hn::ShiftLeft < kColumns == 4 ? 2 : 4 > (lane);
   for (size_t w = 0; w < kWords; ++w) {
-    auto bits = hn::Zero(du);
+    uint32_t word = 0;
     for (size_t k = 0; k < kRows; k += kLanes) {
-      Vf left, right;
-      ellipse_rows(o, hn::Iota(df, y + static_cast<float>(w * kRows + k)), left, right);
-      const Vf first = hn::Max(hn::Ceil(hn::Add(left, to_column)), hn::Zero(df));
+      Vf left = set(1e6f), right = set(-1e6f);
+      for (size_t t = 0; t < kTall; ++t) {
+        const float top = y + static_cast<float>((w * kRows + k) * kTall + t);
+        const Vf rows = hn::MulAdd(hn::Iota(df, 0.0f), set(static_cast<float>(kTall)), set(top));
+        Vf l, r;
+        ellipse_rows(o, rows, l, r);
+        left = hn::Min(left, l);
+        right = hn::Max(right, r);
+      }
+      // First and last column of pixels, then of vectors.
+      const Vf first = hn::Max(hn::Ceil(hn::Add(left, to_column)), zero);
       const Vf last = hn::Min(hn::Floor(hn::Add(right, to_column)), last_column);
-      const auto some = hn::RebindMask(du, hn::Le(first, last));
-      constexpr int kPerVector = kWide == 4 ? 2 : 0;  // pixels to vectors, as a shift
       const auto column = [&](Vf f) HWY_ATTR {
-        return hn::ShiftRight<kPerVector>(hn::BitCast(du, hn::ConvertTo(di, f)));
+        return hn::ShiftRight < kWide == 4 ? 2 : 0 > (hn::BitCast(du, hn::ConvertTo(di, f)));
       };
       const auto from = column(hn::Min(first, last_column));
-      const auto to = hn::Sub(hn::Set(du, 31), column(hn::Max(last, hn::Zero(df))));
+      const auto to = hn::Sub(hn::Set(du, 31), column(hn::Max(last, zero)));
+      auto some = hn::RebindMask(du, hn::Le(first, last));
+      if constexpr (kRows < kLanes)
+        some = hn::And(
+            some, hn::RebindMask(du, hn::Lt(hn::Iota(df, 0.0f), set(static_cast<float>(kRows)))));
       const auto row = hn::And(hn::operator<<(all, from), hn::operator>>(all, to));
-      const auto place = hn::Add(shift, hn::Set(du, static_cast<uint32_t>(k / kTall * kColumns)));
-      bits = hn::Or(bits, hn::operator<<(hn::IfThenElseZero(some, row), place));
+      // The rows' bits do not overlap.
+      const auto bits = hn::operator<<(hn::IfThenElseZero(some, row), place);
+      word |= hn::GetLane(hn::SumOfLanes(du, bits)) << (k * kColumns);
     }
-    words[w] = or_lanes(du, bits);
+    words[w] = word;
   }
 }
 

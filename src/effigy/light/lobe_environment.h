@@ -1,0 +1,37 @@
+// An environment filtered by spherical Gaussians of all widths (light/spherical_gaussian.h), for
+// lookups by direction and width.
+#pragma once
+
+#include <vector>
+
+#include "effigy/light/environment.h"
+#include "effigy/light/spherical_gaussian.h"
+
+namespace effigy {
+
+// Level k holds, for every direction q, the mean of the radiance under exp(-theta^2 / 2 sigma_k^2),
+// so that constant light gives exactly its value; a lookup interpolates linearly in ln sigma
+// between levels and multiplies by N(sigma) times the lobe's integral. sigma_k = 0.01 2^(k/2).
+class LobeEnvironment {
+ public:
+  LobeEnvironment() = default;
+  explicit LobeEnvironment(const Cubemap& radiance);
+
+  // Integral of L(w) G(w; q, sigma) dw, for `count` unit directions q (3 planes) and widths, added
+  // to `colour` (3 planes). Widths are held to [0.01, 0.64] where the light is looked up, not in
+  // N(sigma).
+  void add(SgNorm norm, size_t count, const float* q, const float* sigma, size_t stride,
+           float* colour) const;
+  // Adds the derivatives by q (of the bilinear lookup, along the sphere) and sigma.
+  void add_backward(SgNorm norm, size_t count, const float* q, const float* sigma, size_t stride,
+                    const float* d_colour, float* d_q, float* d_sigma) const;
+
+  static constexpr int kLevels = 13;
+  static float level_sigma(int level);
+  const Cubemap& level(int k) const { return levels_[static_cast<size_t>(k)]; }
+
+ private:
+  std::vector<Cubemap> levels_;
+};
+
+}  // namespace effigy
