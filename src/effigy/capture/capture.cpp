@@ -5,6 +5,7 @@
 
 #include "effigy/base/log.h"
 #include "effigy/base/safetensors.h"
+#include "effigy/capture/capture_parts.h"
 #include "effigy/image/files.h"
 #include "effigy/rig/rig_file.h"
 
@@ -12,74 +13,14 @@ namespace effigy {
 namespace {
 
 constexpr int kFormatVersion = 1;
-constexpr int kMostPixels = 16384;  // a side
-
-Json camera_json(const Camera& camera) {
-  Json rotation = Json::array();
-  for (int row = 0; row < 3; ++row)
-    rotation.push_back({camera.camera_from_world_rotation(row, 0),
-                        camera.camera_from_world_rotation(row, 1),
-                        camera.camera_from_world_rotation(row, 2)});
-  const Vec3d& t = camera.camera_from_world_translation;
-  return {{"name", "cam0"},
-          {"width", camera.width},
-          {"height", camera.height},
-          {"fx", camera.fx},
-          {"fy", camera.fy},
-          {"cx", camera.cx},
-          {"cy", camera.cy},
-          {"camera_from_world", {{"rotation", rotation}, {"translation", {t.x(), t.y(), t.z()}}}}};
-}
-
-Camera camera_from_json(const Json& json, const Path& file) {
-  Camera camera;
-  camera.width = json_field<int>(json, "width", file);
-  camera.height = json_field<int>(json, "height", file);
-  camera.fx = json_field<double>(json, "fx", file);
-  camera.fy = json_field<double>(json, "fy", file);
-  camera.cx = json_field<double>(json, "cx", file);
-  camera.cy = json_field<double>(json, "cy", file);
-  const Json pose = json_field<Json>(json, "camera_from_world", file);
-  const auto rotation = json_field<std::vector<std::vector<double>>>(pose, "rotation", file);
-  const auto translation = json_field<std::vector<double>>(pose, "translation", file);
-  bool good = camera.width > 0 && camera.height > 0 && camera.width <= kMostPixels &&
-              camera.height <= kMostPixels && camera.fx > 0 && camera.fy > 0 &&
-              std::isfinite(camera.fx + camera.fy + camera.cx + camera.cy) &&
-              rotation.size() == 3 && translation.size() == 3;
-  for (int row = 0; good && row < 3; ++row) {
-    good = rotation[row].size() == 3 && std::isfinite(translation[row]);
-    for (int column = 0; good && column < 3; ++column)
-      camera.camera_from_world_rotation(row, column) = rotation[row][column];
-    if (good) camera.camera_from_world_translation[row] = translation[row];
-  }
-  const Mat3d& r = camera.camera_from_world_rotation;
-  if (good) good = (r * r.transpose() - Mat3d::Identity()).norm() < 1e-4 && r.determinant() > 0;
-  if (!good)
-    throw Error(file.string() +
-                ": field 'cameras' has an impossible camera (size 1..16384, positive focal length, "
-                "a rotation matrix, finite numbers); correct it.");
-  return camera;
-}
-
-// A path written in a capture must stay inside the capture.
-Path inside(const Json& frame, const std::string& field, const Path& file, bool required) {
-  if (!required && !frame.contains(field)) return {};
-  const Path path = json_field<std::string>(frame, field, file);
-  const bool escapes = path.is_absolute() || std::any_of(path.begin(), path.end(),
-                                                         [](const Path& p) { return p == ".."; });
-  if (path.empty() || escapes)
-    throw Error(file.string() + ": field '" + field +
-                "' must name a file inside the capture, not '" + path.string() + "'; correct it.");
-  return path;
-}
 
 CaptureFrame frame_from_json(const Json& json, const Path& file) {
   CaptureFrame frame;
   frame.number = json_field<int64_t>(json, "number", file);
   frame.seconds = json_field_or<double>(json, "seconds", file, 0.0);
-  frame.image = inside(json, "image", file, true);
-  frame.mask = inside(json, "mask", file, true);
-  frame.albedo = inside(json, "albedo", file, false);
+  frame.image = path_inside(json, "image", file, true);
+  frame.mask = path_inside(json, "mask", file, true);
+  frame.albedo = path_inside(json, "albedo", file, false);
   const auto split = json_field_or<std::string>(json, "split", file, "train");
   if (split != "train" && split != "test")
     throw Error(file.string() + ": field 'split' must be train or test, not '" + split +
@@ -103,25 +44,12 @@ Json frame_json(const CaptureFrame& frame) {
 void read_tracking(Capture& capture) {
   const TensorFile file = read_safetensors(capture.folder / "tracking.safetensors");
   const auto frames = static_cast<int64_t>(capture.frames.size());
-  const int64_t expressions = capture.rig.expression_count;
-  const int64_t rotations = 3 * capture.rig.joint_count();
-  const auto expression = file.floats("expression", {frames, expressions});
-  const auto rotation = file.floats("joint_rotation", {frames, rotations});
-  const auto translation = file.floats("translation", {frames, 3});
   capture.identity = file.floats("identity", {-1});
   if (capture.identity.size() > static_cast<size_t>(capture.rig.identity_count))
     throw Error(file.path.string() +
                 ": tensor 'identity' has more coefficients than the rig; track "
                 "the video again.");
-  capture.poses.resize(capture.frames.size());
-  for (int64_t f = 0; f < frames; ++f) {
-    RigPose& pose = capture.poses[f];
-    pose.expression.assign(expression.begin() + f * expressions,
-                           expression.begin() + (f + 1) * expressions);
-    pose.joint_rotation.assign(rotation.begin() + f * rotations,
-                               rotation.begin() + (f + 1) * rotations);
-    std::copy_n(translation.begin() + f * 3, 3, pose.translation.begin());
-  }
+  capture.poses = poses_from(file, capture.rig, capture.frames.size());
   if (file.has("landmarks")) {
     capture.landmarks = file.floats("landmarks", {frames, -1, 2});
     capture.landmark_count = static_cast<int>(file.shape("landmarks")[1]);
@@ -129,12 +57,6 @@ void read_tracking(Capture& capture) {
 }
 
 void write_tracking(const Capture& capture, const Path& folder) {
-  std::vector<float> expression, rotation, translation;
-  for (const RigPose& pose : capture.poses) {
-    expression.insert(expression.end(), pose.expression.begin(), pose.expression.end());
-    rotation.insert(rotation.end(), pose.joint_rotation.begin(), pose.joint_rotation.end());
-    translation.insert(translation.end(), pose.translation.begin(), pose.translation.end());
-  }
   const auto frames = static_cast<int64_t>(capture.frames.size());
   TensorFile file;
   file.metadata = {{"format", "effigy-tracking"}, {"rig", capture.rig.kind}};
@@ -142,9 +64,7 @@ void write_tracking(const Capture& capture, const Path& folder) {
                  std::vector<int64_t> shape) {
     file.tensors[name] = Tensor::from(std::span<const float>(values), std::move(shape));
   };
-  put("expression", expression, {frames, capture.rig.expression_count});
-  put("joint_rotation", rotation, {frames, 3 * capture.rig.joint_count()});
-  put("translation", translation, {frames, 3});
+  put_poses(capture.poses, capture.rig, file);
   put("identity", capture.identity, {static_cast<int64_t>(capture.identity.size())});
   if (capture.landmark_count > 0)
     put("landmarks", capture.landmarks, {frames, capture.landmark_count, 2});
@@ -167,40 +87,14 @@ std::vector<int> Capture::test_frames() const {
   return indices;
 }
 
-namespace {
-
-void check_size(const Image8& image, const Camera& camera, const Path& path) {
-  if (image.width != camera.width || image.height != camera.height)
-    throw Error(path.string() + ": it is " + std::to_string(image.width) + "x" +
-                std::to_string(image.height) + " pixels, the capture's camera has " +
-                std::to_string(camera.width) + "x" + std::to_string(camera.height) +
-                "; resize it or track again.");
-}
-
-Image8 to_channels(const Image8& image, int channels) {
-  if (image.channels == channels) return image;
-  Image8 out(image.width, image.height, channels);
-  for (int y = 0; y < image.height; ++y)
-    for (int x = 0; x < image.width; ++x)
-      for (int c = 0; c < channels; ++c)
-        out.at(x, y)[c] = image.at(x, y)[image.channels >= 3 ? std::min(c, 2) : 0];
-  return out;
-}
-
-}  // namespace
-
 Image8 Capture::load_image(int frame) const {
   const Path path = folder / frames.at(frame).image;
-  const Image8 image = read_image8(path);
-  check_size(image, camera, path);
-  return to_channels(image, 3);
+  return read_view(path, camera, 3);
 }
 
 Image8 Capture::load_mask(int frame) const {
   const Path path = folder / frames.at(frame).mask;
-  const Image8 image = read_image8(path);
-  check_size(image, camera, path);
-  return to_channels(image, 1);
+  return read_view(path, camera, 1);
 }
 
 Capture read_capture(const Path& folder) {
@@ -222,7 +116,7 @@ Capture read_capture(const Path& folder) {
   capture.kind = json_field<std::string>(json, "kind", file);
   if (capture.kind != "head")
     throw Error(file.string() + ": field 'kind' is '" + capture.kind +
-                "', only 'head' captures are known here.");
+                "', a 'head' capture is needed here.");
   capture.source = json_field_or<std::string>(json, "source", file, "not stated");
   capture.licence = json_field_or<std::string>(json, "licence", file, "not stated");
   capture.consent = json_field_or<std::string>(json, "consent", file, "not stated");
@@ -262,7 +156,7 @@ void write_capture(const Capture& capture, const Path& folder) {
               {"consent", capture.consent},
               {"rig", capture.rig.kind},
               {"frames_per_second", capture.frames_per_second},
-              {"cameras", Json::array({camera_json(capture.camera)})},
+              {"cameras", Json::array({camera_json("cam0", capture.camera)})},
               {"extra", capture.extra.is_null() ? Json::object() : capture.extra},
               {"frames", frames}});
 }

@@ -1,0 +1,37 @@
+// What the files of head captures and stage captures have in common.
+#pragma once
+
+#include <map>
+#include <string>
+#include <vector>
+
+#include "effigy/base/json.h"
+#include "effigy/base/safetensors.h"
+#include "effigy/geometry/types.h"
+#include "effigy/image/image.h"
+#include "effigy/rig/rig.h"
+
+namespace effigy {
+
+Json camera_json(const std::string& name, const Camera& camera);
+// Throws Error naming `file` for an impossible camera.
+Camera camera_from_json(const Json& json, const Path& file);
+
+// The path in a field of a capture's JSON, which must stay inside the capture; empty when it is
+// absent and not required.
+Path path_inside(const Json& object, const std::string& field, const Path& file, bool required);
+
+// Tensors "expression" [F, E], "joint_rotation" [F, 3 J], "translation" [F, 3].
+std::vector<RigPose> poses_from(const TensorFile& file, const Rig& rig, size_t count);
+void put_poses(const std::vector<RigPose>& poses, const Rig& rig, TensorFile& file);
+
+// An image of the camera's size with 1 or 3 channels. Throws Error naming the file.
+Image8 read_view(const Path& path, const Camera& camera, int channels);
+
+// Channels of the image layers by name (capture/truth.h says what they hold).
+const std::map<std::string, int>& layer_channels();
+// A layer's image of the camera's size; labels ("part") are at most `parts`. Throws Error naming
+// the file when it is absent, of another size, or not finite.
+Image read_layer(const Path& path, const std::string& layer, const Camera& camera, size_t parts);
+
+}  // namespace effigy
