@@ -218,6 +218,51 @@ TEST(Commands, SynthMakesACaptureThatInfoFindsSound) {
   EXPECT_GT(Json::parse(noise.out)["psnr"].get<double>(), 15);
 }
 
+TEST(Commands, SynthBodyMakesAStageThatInfoFindsSound) {
+  test::ScratchFolder scratch;
+  const std::string capture = (scratch / "stage").string();
+  const Outcome made = run("synth body -o " + capture +
+                           " --cameras 2 --lights 12 --frames 2 --size 48 --spp 1 --bounces 1 "
+                           "--texture-size 128 --json");
+  ASSERT_EQ(made.code, 0) << made.err;
+  EXPECT_EQ(Json::parse(made.out)["images"], 4);
+  const Outcome info = run("info --json " + capture);
+  ASSERT_EQ(info.code, 0) << info.err;
+  const Json found = Json::parse(info.out);
+  EXPECT_EQ(found["kind"], "body");
+  EXPECT_EQ(found["test_cameras"], 1);
+  EXPECT_EQ(found["test_motion"], 1);
+  // Heads are trained from other captures.
+  const Outcome train = run("train " + capture + " -o " + (scratch / "avatar").string());
+  EXPECT_EQ(train.code, 2);
+  EXPECT_TRUE(train.one_sentence()) << train.err;
+}
+
+TEST(Commands, SynthBodyRefusesBadInputInOneSentence) {
+  test::ScratchFolder scratch;
+  const auto fails = [&](const std::string& arguments, const std::string& part) {
+    const Outcome outcome = run("synth body --texture-size 64 --spp 1 --no-layers -o " +
+                                (scratch / "x").string() + " --frames 2 --size 32 " + arguments);
+    EXPECT_EQ(outcome.code, 2) << arguments << ": " << outcome.err;
+    EXPECT_TRUE(outcome.one_sentence() && contains(outcome.err, part)) << outcome.err;
+    EXPECT_FALSE(std::filesystem::exists(scratch / "x"));
+    EXPECT_FALSE(std::filesystem::exists(scratch / "x.partial"));
+  };
+  fails("--lights 0", "at least one light");
+  fails("--cameras 0", "cameras");
+  fails("--radius nan", "radius");
+  fails("--stage huge", "huge");
+  fails("--lighting dark", "dark");
+  write_text(scratch / "broken.hdr", "#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 4 +X 8\nxx");
+  fails("--lighting environment --light " + (scratch / "broken.hdr").string(), "broken.hdr");
+  write_text(scratch / "none.txt", "# nothing\n");
+  fails("--light-positions " + (scratch / "none.txt").string(), "none.txt");
+  write_text(scratch / "nan.bvh",
+             "HIERARCHY\nROOT Hips\n{\nOFFSET 0 0 0\nCHANNELS 3 Xrotation Yrotation Zrotation\n"
+             "End Site\n{\nOFFSET 0 1 0\n}\n}\nMOTION\nFrames: 1\nFrame Time: 0.03\nnan 0 0\n");
+  fails("--motion " + (scratch / "nan.bvh").string(), "nan.bvh");
+}
+
 TEST(Commands, SynthRefusesBadInputInOneSentence) {
   test::ScratchFolder scratch;
   const auto fails = [&](const std::string& arguments, const std::string& part) {

@@ -284,16 +284,19 @@ TEST(PathTracer, LightIsLinear) {
     if (i % 4 != 3) {
       ASSERT_NEAR(sum.data[i], all.data[i], 1e-5 * (1 + all.data[i])) << i;
     }
-  // Many lights: one is chosen at each point; the same image on average.
-  std::vector<PointLight> many;
-  for (int i = 0; i < 4; ++i)
-    for (PointLight light : lights) {
-      light.intensity *= 0.25f;
-      many.push_back(light);
-    }
-  scene.set_point_lights(many);
-  const Vec3d chosen = mean_colour(trace_image(scene, camera, samples(256)));
-  EXPECT_LT((chosen - mean_colour(all)).norm() / chosen.norm(), 0.01);
+  // Many lights: one is chosen at each point, of very many from some of them; the same image on
+  // average.
+  for (const int copies : {4, 17}) {
+    std::vector<PointLight> many;
+    for (int i = 0; i < copies; ++i)
+      for (PointLight light : lights) {
+        light.intensity /= static_cast<float>(copies);
+        many.push_back(light);
+      }
+    scene.set_point_lights(many);
+    const Vec3d chosen = mean_colour(trace_image(scene, camera, samples(256)));
+    EXPECT_LT((chosen - mean_colour(all)).norm() / chosen.norm(), 0.01) << copies;
+  }
 }
 
 // Shadows against every triangle in double precision.
@@ -421,6 +424,38 @@ TEST(PathTracer, IrradianceIsTheShareOfLightThatArrives) {
     if (std::abs(p[v]) > 0.1f) {
       EXPECT_EQ(one[v], p[v] > 0 ? 1.0f : 0.0f);
     }
+}
+
+// Of very many lights only some are asked, which changes nothing on average.
+TEST(PathTracer, IrradianceOfVeryManyLightsIsUnbiased) {
+  TraceScene scene = scene_of(sphere(1, 24), lambert(Vec3f::Ones()));
+  std::vector<PointLight> lights;
+  Random random(3);
+  for (int i = 0; i < 150; ++i) {
+    const Vec3d d = Vec3d(random.normal(), random.normal(), random.normal()).normalized();
+    lights.push_back({(40 * d).cast<float>(),
+                      Vec3f::Constant(static_cast<float>(random.uniform(1, i % 10 ? 2 : 9)))});
+  }
+  scene.set_point_lights(lights);
+  const std::vector<float> sampled = vertex_irradiance(scene, 0, 1, 1);
+  const std::vector<float>&p = scene.vertices(0), &n = scene.normals(0);
+  double mean = 0, worst = 0;
+  for (size_t v = 0; v < p.size(); v += 3) {
+    double seen = 0, sent = 0;
+    for (const PointLight& light : lights) {
+      const Vec3f way = light.position - Vec3f(&p[v]);
+      const double amount = static_cast<double>(light.intensity.x() / way.squaredNorm());
+      sent += amount;
+      const Vec3f origin = Vec3f(&p[v]) + 10 * scene.offset() * Vec3f(&n[v]);
+      seen +=
+          amount * static_cast<double>(scene.transmittance(origin, way.normalized(), way.norm()));
+    }
+    const double error = static_cast<double>(sampled[v]) - seen / sent;
+    mean += 3 * error / static_cast<double>(p.size());
+    worst = std::max(worst, std::abs(error));
+  }
+  EXPECT_LT(std::abs(mean), 0.005);
+  EXPECT_LT(worst, 0.2);
 }
 
 TEST(PathTracer, LayersShowWhatIsThere) {

@@ -5,7 +5,7 @@
 #include "effigy/avatar/head_avatar.h"
 #include "effigy/base/log.h"
 #include "effigy/base/safetensors.h"
-#include "effigy/capture/capture.h"
+#include "effigy/capture/stage_capture.h"
 #include "effigy/cli/command_line.h"
 #include "effigy/cli/commands.h"
 #include "effigy/geometry/ply.h"
@@ -17,7 +17,35 @@
 namespace effigy {
 namespace {
 
+Json describe_stage(const Path& path) {
+  const StageCapture capture = read_stage_capture(path);
+  for (size_t f = 0; f < capture.frames.size(); ++f) {
+    load_frame_arrays(capture, static_cast<int>(f));
+    for (size_t c = 0; c < capture.cameras.size(); ++c) {
+      capture.load_image(static_cast<int>(c), static_cast<int>(f));
+      capture.load_mask(static_cast<int>(c), static_cast<int>(f));
+    }
+  }
+  return {{"what", "capture"},
+          {"kind", "body"},
+          {"rig", capture.rig.kind},
+          {"cameras", capture.cameras.size()},
+          {"test_cameras", capture.test_cameras().size()},
+          {"lights", capture.lights.size()},
+          {"frames", capture.frames.size()},
+          {"train", capture.frames_of(StageSplit::kTrain).size()},
+          {"test_lights", capture.frames_of(StageSplit::kLights).size()},
+          {"test_motion", capture.frames_of(StageSplit::kMotion).size()},
+          {"test_environment", capture.frames_of(StageSplit::kEnvironment).size()},
+          {"size", {capture.cameras[0].camera.width, capture.cameras[0].camera.height}},
+          {"layers", capture.layers},
+          {"source", capture.source},
+          {"licence", capture.licence},
+          {"consent", capture.consent}};
+}
+
 Json describe_capture(const Path& path) {
+  if (capture_kind(path) == "body") return describe_stage(path);
   const Capture capture = read_capture(path);
   for (size_t f = 0; f < capture.frames.size(); ++f) {
     capture.load_image(static_cast<int>(f));

@@ -7,6 +7,7 @@
 #include "effigy/base/progress.h"
 #include "effigy/cli/command_line.h"
 #include "effigy/cli/commands.h"
+#include "effigy/cli/synth_body.h"
 #include "effigy/image/files.h"
 #include "effigy/synth/head_capture.h"
 #include "effigy/synth/scene_file.h"
@@ -132,8 +133,13 @@ int run_synth(int argc, char** argv) {
   CLI::App app(
       "Makes captures with known answers by path tracing: a talking built-in head under any "
       "light,\n"
-      "its held-out frames under other lights, and the truth of every layer (docs/synth.md).\n\n"
-      "example: effigy synth head -o capture --frames 64 --size 256 --light sunset",
+      "its held-out frames under other lights, or a clothed built-in body in a light stage, with "
+      "the\n"
+      "truth of every layer (docs/synth.md). An interrupted body capture goes on when the command "
+      "is\n"
+      "given again.\n\n"
+      "example: effigy synth head -o capture --frames 64 --size 256 --light sunset\n"
+      "example: effigy synth body -o stage --stage tiny",
       "synth");
   app.require_subcommand(1);
   CommonOptions common;
@@ -141,6 +147,11 @@ int run_synth(int argc, char** argv) {
   CLI::App* head_app = app.add_subcommand("head", "a talking head seen by one camera");
   add_head(*head_app, head);
   add_common(*head_app, common, true, true);
+  BodyCommand body;
+  CLI::App* body_app =
+      app.add_subcommand("body", "a clothed body in a light stage, seen by many cameras");
+  add_synth_body(*body_app, body);
+  add_common(*body_app, common, true, true);
   SceneCommand scene;
   CLI::App* scene_app =
       app.add_subcommand("scene", "one picture of a described scene (docs/synth.md)");
@@ -149,6 +160,7 @@ int run_synth(int argc, char** argv) {
   scene_app->add_option("--spp", scene.samples, "Samples a pixel (default: as described)");
   add_common(*scene_app, common, false, true);
   if (!parse_command_line(app, argc, argv, common)) return 0;
+  if (body_app->parsed()) return synth_body(body, common);
   return head_app->parsed() ? synth_head(head, common) : synth_scene(scene, common);
 }
 

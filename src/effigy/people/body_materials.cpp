@@ -11,6 +11,7 @@
 #include "effigy/people/builtin_body.h"
 #include "effigy/people/builtin_head.h"
 #include "effigy/people/gutter.h"
+#include "effigy/people/head_subject.h"
 
 namespace effigy {
 namespace {
@@ -27,6 +28,8 @@ class BodyPainter {
         mesh_(body.rig.mesh),
         map_(texel_map(mesh_, size)),
         head_(builtin_head_materials(std::max(256, size * 3 / 4), body.subject)),
+        mean_head_(builtin_head_rig()),
+        subject_(people::make_subject(body.subject)),
         normals_(vertex_normals(mesh_.vertices, mesh_.triangles)),
         paint_(map_.triangle.size()),
         bump_(map_.triangle.size(), Vec3d(0, 0, 1)) {}
@@ -124,6 +127,15 @@ class BodyPainter {
     paint_[i] = people::paint_body(model_, skin_, at);
   }
 
+  // Whether hair grows at a texel of the head: by its place on the mean head.
+  bool hair_at(size_t i) const {
+    const Vec3i& t = mesh_.triangles[static_cast<size_t>(map_.triangle[i])];
+    const Vec3f b = weights(i);
+    Vec3f p = Vec3f::Zero();
+    for (int k = 0; k < 3; ++k) p += b[k] * mean_head_.mesh.vertex(t[k]);
+    return people::hair_cover(1e3 * p.cast<double>(), 2, subject_.hair) > 0.5;
+  }
+
   void from_head(size_t i) {
     const int f = map_.triangle[i];
     BodyPaint& p = paint_[i];
@@ -136,6 +148,7 @@ class BodyPainter {
     p.roughness = static_cast<double>(roughness);
     p.specular = static_cast<double>(specular);
     p.part = mesh_.triangle_part[static_cast<size_t>(f)];
+    if (p.part == people::kFace && hair_at(i)) p.part = people::kHair;
     // The tangent frame turns with the island.
     const Vec3i& t = mesh_.uv_triangles[static_cast<size_t>(f)];
     const auto edge = [&](const std::vector<Vec2f>& uvs, int k) {
@@ -191,6 +204,8 @@ class BodyPainter {
   const Mesh& mesh_;
   TexelMap map_;
   HeadMaterials head_;
+  Rig mean_head_;
+  people::Subject subject_;
   std::vector<float> normals_;
   std::vector<BodyPaint> paint_;
   std::vector<Vec3d> bump_;

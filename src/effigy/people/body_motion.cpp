@@ -272,4 +272,17 @@ BodyMotion unseen_motion(const BuiltinBody& body, int frames, double frames_per_
   return motion;
 }
 
+std::vector<RigPose> swaying_motion(const Rig& rig, int frames, double frames_per_second,
+                                    double reach, uint64_t seed) {
+  check_request(frames, frames_per_second);
+  std::vector<SlowNoise> noise;
+  for (size_t i = 0; i < 3 * rig.parents.size(); ++i) noise.emplace_back(seed, i, 1.0);
+  std::vector<RigPose> poses(static_cast<size_t>(frames), RigPose::rest(rig));
+  for (size_t f = 0; f < poses.size(); ++f)
+    for (size_t i = 3; i < noise.size(); ++i)
+      poses[f].joint_rotation[i] =
+          static_cast<float>(reach * noise[i].at(static_cast<double>(f) / frames_per_second));
+  return poses;
+}
+
 }  // namespace effigy

@@ -30,6 +30,11 @@ BodyMotion unseen_motion(const BuiltinBody& body, int frames, double frames_per_
 BodyMotion retarget_bvh(const BuiltinBody& body, const Bvh& bvh, const std::string& name,
                         int frames, double frames_per_second, double first = 0);
 
+// A motion for any rig: every joint but the first sways slowly by up to `reach` radians about each
+// axis. Helper joints and shapes are not driven.
+std::vector<RigPose> swaying_motion(const Rig& rig, int frames, double frames_per_second,
+                                    double reach, uint64_t seed);
+
 // (joint of the body, joint of the file, child in the file whose direction it takes or -1).
 struct BvhMatch {
   int joint, source, source_child, child;

@@ -205,22 +205,14 @@ class HeadCaptureWriter {
     write_layer(f, "radiance", radiance, true);
     write_layer(f, "albedo", layers.albedo, true);
     write_layer(f, "material", layers.material, true);
-    write_layer(f, "normal", planes_of(layers.gbuffer, kMappedNormal, 3), true);
-    write_layer(f, "depth", planes_of(layers.gbuffer, kDepth, 1), false);
-    write_layer(f, "uv", planes_of(layers.gbuffer, kUv, 2), false);
+    write_layer(f, "normal", planes_image(layers.gbuffer, kMappedNormal, 3), true);
+    write_layer(f, "depth", planes_image(layers.gbuffer, kDepth, 1), false);
+    write_layer(f, "uv", planes_image(layers.gbuffer, kUv, 2), false);
     Image8 part(radiance.width, radiance.height, 1);
     for (size_t i = 0; i < part.data.size(); ++i)
       part.data[i] = static_cast<uint8_t>(layers.part[i]);  // one mesh: part + 1
     write_png8(folder_.dir() / "layers/part" / file(f, ".png"), part, {}, true);
     truth_.layers["part"] = "layers/part";
-  }
-
-  static Image planes_of(const Planes& planes, int first, int count) {
-    Image image(planes.width, planes.height, count);
-    for (size_t i = 0; i < planes.pixels(); ++i)
-      for (int c = 0; c < count; ++c)
-        image.data[i * static_cast<size_t>(count) + c] = planes.plane(first + c)[i];
-    return image;
   }
 
   void write_layer(int f, const std::string& name, const Image& image, bool half) {

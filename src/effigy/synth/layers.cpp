@@ -11,6 +11,7 @@
 namespace effigy {
 namespace {
 
+constexpr size_t kLampsCounted = 64;
 constexpr int kTile = 16;
 constexpr float kPi = std::numbers::pi_v<float>;
 
@@ -133,10 +134,23 @@ std::vector<float> vertex_irradiance(const TraceScene& scene, int mesh, int samp
     const float share = light != nullptr ? 1.0f / static_cast<float>(samples) : 1.0f;
     sent *= share;
     arrived *= share;
-    for (const PointLight& lamp : scene.point_lights()) {
+    const auto arrives = [&](const PointLight& lamp) {
+      return Vec3f(lamp.intensity / std::max((lamp.position - origin).squaredNorm(), 1e-12f));
+    };
+    const std::vector<PointLight>& lamps = scene.point_lights();
+    const size_t counted = std::min(lamps.size(), kLampsCounted);
+    const float stride =
+        static_cast<float>(lamps.size()) / static_cast<float>(std::max<size_t>(counted, 1));
+    for (const PointLight& lamp : lamps) sent += arrives(lamp);
+    // Of very many lights every n-th is asked whether it is seen, from a random one on.
+    sampler.start(static_cast<uint32_t>(samples));
+    const float start = counted < lamps.size() ? sampler.next().x() : 0.5f;
+    for (size_t k = 0; k < counted; ++k) {
+      const size_t index = static_cast<size_t>((static_cast<float>(k) + start) * stride);
+      const PointLight& lamp = lamps[std::min(index, lamps.size() - 1)];
       const Vec3f way = lamp.position - origin;
-      const float square = std::max(way.squaredNorm(), 1e-12f);
-      add(way / std::sqrt(square), lamp.intensity / square, std::sqrt(square));
+      const float far = std::max(way.norm(), 1e-6f);
+      arrived += stride * scene.transmittance(origin, way / far, far) * arrives(lamp);
     }
     for (size_t c = 0; c < 3; ++c)
       irradiance[3 * v + c] = sent[c] > 0 ? std::min(arrived[c] / sent[c], 1.0f) : 0.0f;

@@ -15,7 +15,7 @@ namespace {
 constexpr int kTile = 16;
 constexpr float kLeastCosine = 1e-3f;
 constexpr int kFirstRoulette = 2;  // bounces before it
-constexpr size_t kLightsTried = 4;
+constexpr size_t kLightsTried = 4, kLightsCompared = 16;
 
 class Tracer {
  public:
@@ -193,11 +193,18 @@ class Tracer {
       }
       return;
     }
-    // Sampling in place: one pass sums what all give, a light replaces the chosen one with its
+    // Of very many lights every n-th is compared, from a random one on: each has the same chance.
+    const Vec2f drawn = sampler.next();
+    const size_t compared = std::min(lights.size(), kLightsCompared);
+    const float stride = static_cast<float>(lights.size()) / static_cast<float>(compared);
+    const float start = compared < lights.size() ? drawn.y() : 0.5f;
+    // Sampling in place: one pass sums what they give, a light replaces the chosen one with its
     // share of the sum so far (the one random number is stretched again each time).
-    float sum = 0, u = sampler.next().x(), chosen_distance = 0, chosen_share = 0;
+    float sum = 0, u = drawn.x(), chosen_distance = 0, chosen_share = 0;
     Vec3f chosen = Vec3f::Zero(), chosen_direction = Vec3f::UnitZ();
-    for (const PointLight& light : lights) {
+    for (size_t k = 0; k < compared; ++k) {
+      const size_t index = static_cast<size_t>((static_cast<float>(k) + start) * stride);
+      const PointLight& light = lights[std::min(index, lights.size() - 1)];
       const Vec3f given = unshadowed(light, point, frame, brdf, direction, distance);
       const float share = given.sum();
       if (!(share > 0)) continue;
@@ -215,7 +222,7 @@ class Tracer {
     }
     if (chosen_share <= 0) return;
     total += weight.cwiseProduct(chosen) *
-             (passes(point, chosen_direction, chosen_distance) * sum / chosen_share);
+             (passes(point, chosen_direction, chosen_distance) * stride * sum / chosen_share);
   }
 
   const TraceScene& scene_;

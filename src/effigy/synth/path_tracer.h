@@ -32,7 +32,8 @@ struct TraceOptions {
 
 // Linear radiance times alpha, and alpha: 4 channels. The environment itself is not drawn. Pixels
 // average over their square. With more than four point lights one is chosen at each point in
-// proportion to what it would give unshadowed. Throws Error when there is no light or the camera is
+// proportion to what it would give unshadowed; with more than 16, of every n-th from a random one
+// on. Throws Error when there is no light or the camera is
 // inside a mesh. `progress` counts rows of pixels.
 Image trace_image(const TraceScene& scene, const Camera& camera, const TraceOptions& options,
                   Progress* progress = nullptr);
@@ -54,7 +55,8 @@ Planes trace_gbuffer(const TraceScene& scene, const Camera& camera);
 
 // Normalised irradiance of the vertices of a mesh, 3V (RGB), in [0, 1]: the integral of L Vis over
 // that of L over the whole sphere (Relightable Full-Body Gaussian Codec Avatars, Eq. 15), by
-// `samples` pairs of light and uniform samples a vertex; point lights are summed.
+// `samples` pairs of light and uniform samples a vertex; point lights are summed, of more than 64
+// every n-th from a random one on (appendix A there).
 std::vector<float> vertex_irradiance(const TraceScene& scene, int mesh, int samples, uint64_t seed);
 
 }  // namespace effigy

@@ -64,6 +64,14 @@ Image display_image(const Image& radiance) {
   return image;
 }
 
+Image planes_image(const Planes& planes, int first, int count) {
+  Image image(planes.width, planes.height, count);
+  for (size_t i = 0; i < planes.pixels(); ++i)
+    for (int c = 0; c < count; ++c)
+      image.data[i * static_cast<size_t>(count) + c] = planes.plane(first + c)[i];
+  return image;
+}
+
 Image alpha_image(const Image& radiance) {
   Image alpha(radiance.width, radiance.height, 1);
   for (size_t i = 0; i < alpha.data.size(); ++i) alpha.data[i] = radiance.data[4 * i + 3];

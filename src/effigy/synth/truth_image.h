@@ -17,6 +17,8 @@ Image split_sum_image(const TraceScene& scene, const Camera& camera,
 // The image of linear premultiplied radiance as a capture shows it, before rounding: alpha times
 // sRGB(radiance / alpha), on black, which is how the renderer composites (shade/deferred.h).
 Image display_image(const Image& radiance);
+// `count` planes from `first` on as an interleaved image.
+Image planes_image(const Planes& planes, int first, int count);
 // The alpha channel, 1 channel.
 Image alpha_image(const Image& radiance);
 

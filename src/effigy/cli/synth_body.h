@@ -1,0 +1,21 @@
+// effigy synth body: a light stage with known answers.
+#pragma once
+
+#include "effigy/cli/command_line.h"
+#include "effigy/synth/body_capture.h"
+
+namespace effigy {
+
+// The command's options as they are given; the preset's values stand where nothing is.
+struct BodyCommand {
+  SynthBodyOptions options;
+  std::string output, stage = "small", lighting = "mixed", mesh = "tracked", light_file;
+  int cameras = -1, lights = -1, frames = -1, unseen_frames = -1;
+  double radius = -1, frames_per_second = -1;
+  std::vector<int> size;
+  bool no_layers = false, plan = false;
+};
+void add_synth_body(CLI::App& app, BodyCommand& command);
+int synth_body(BodyCommand& command, const CommonOptions& common);
+
+}  // namespace effigy

@@ -1,0 +1,195 @@
+#include "effigy/synth/body_scene.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "effigy/base/error.h"
+#include "effigy/people/user_body.h"
+#include "effigy/synth/tracking_error.h"
+
+namespace effigy {
+namespace {
+
+constexpr double kClothRate = 30;                   // steps a second, at least
+constexpr double kSway = 0.2;                       // radians, of the joints of the user's own body
+constexpr float kSmallest = 0.3f, kTallest = 2.4f;  // metres
+
+}  // namespace
+
+BodyScene::BodyScene(const BodySceneOptions& options)
+    : options_(options),
+      substeps_(std::max(1, static_cast<int>(std::ceil(kClothRate / options.frames_per_second)))) {
+  if (options.body.empty())
+    load_builtin();
+  else
+    load_users_own();
+  add_motion(motion_of(options.motion, false, options.frames), options.frames);
+  if (options.unseen_frames > 0)
+    add_motion(motion_of(options.unseen_motion, true, options.unseen_frames),
+               options.unseen_frames);
+  tracked_ = with_tracking_error(rig_, poses_, options.frames_per_second, options.tracking_error,
+                                 options.seed);
+  if (options.tracking_error > 0 && builtin_ != nullptr)
+    for (RigPose& pose : tracked_) drive_body_helpers(*builtin_, pose);
+}
+
+void BodyScene::load_builtin() {
+  builtin_ = &builtin_body(options_.subject);
+  rig_ = builtin_->rig;
+  shape_ = builtin_->shape;
+  cloth_.emplace(*builtin_);
+  BodyMaterials maps = builtin_body_materials(*builtin_, options_.texture_size);
+  labels_ = std::move(maps.labels);
+  label_size_ = options_.texture_size;
+  SurfaceMaterial material;
+  material.albedo = std::move(maps.albedo);
+  material.roughness = std::move(maps.roughness);
+  material.specular = std::move(maps.specular);
+  material.normal = std::move(maps.normal);
+  scene_.add_mesh(rig_.mesh, scene_.add_material(material, "the body"), "the body");
+}
+
+void BodyScene::load_users_own() {
+  const std::string& name = options_.body;
+  if (!options_.motion.empty() || !options_.unseen_motion.empty())
+    throw Error(name + ": BVH motions move the built-in body only; leave them out.");
+  UserBody own = std::filesystem::is_directory(name)
+                     ? read_makehuman_body(name, {}, options_.texture_size)
+                     : read_gltf_body(name, options_.texture_size);
+  rig_ = std::move(own.rig);
+  shape_ = shape_rig(rig_, {});
+  Vec3f low = Vec3f::Constant(1e9f), high = -low;
+  for (size_t v = 0; v < shape_.rest.size(); v += 3) {
+    low = low.cwiseMin(Vec3f(&shape_.rest[v]));
+    high = high.cwiseMax(Vec3f(&shape_.rest[v]));
+  }
+  const float height = high.y() - low.y();
+  if (!(height > kSmallest && height < kTallest))
+    throw Error(name + ": the body is " + std::to_string(height) +
+                " metres tall; scale it to a person's size (glTF counts in metres, y up).");
+  place_ = {-0.5f * (low.x() + high.x()), -low.y(), -0.5f * (low.z() + high.z())};
+  SurfaceMaterial material;
+  material.albedo = std::move(own.albedo);
+  material.roughness = std::move(own.roughness);
+  material.opacity = std::move(own.alpha);
+  material.specular = Image(1, 1, 1, 0.04f);
+  scene_.add_mesh(rig_.mesh, scene_.add_material(material, name), name);
+}
+
+std::vector<RigPose> BodyScene::motion_of(const std::string& file, bool unseen, int frames) const {
+  const int steps = (frames - 1) * substeps_ + 1;
+  const double rate = options_.frames_per_second * substeps_;
+  if (builtin_ == nullptr) {
+    std::vector<RigPose> poses =
+        swaying_motion(rig_, steps, rate, kSway, options_.seed + (unseen ? 0x756e : 0));
+    for (RigPose& pose : poses) pose.translation = place_;
+    return poses;
+  }
+  if (file.empty())
+    return (unseen ? unseen_motion(*builtin_, steps, rate, options_.seed)
+                   : range_of_motion(*builtin_, steps, rate, options_.seed))
+        .poses;
+  BodyMotion motion = retarget_bvh(*builtin_, read_bvh(file), file, steps, rate);
+  const int found = static_cast<int>(motion.poses.size());
+  if (found < steps)
+    throw Error(file + ": the motion has " + std::to_string((found - 1) / substeps_ + 1) +
+                " frames at this rate, " + std::to_string(frames) +
+                " are asked for; ask for fewer or raise the rate.");
+  for (RigPose& pose : motion.poses) pose.translation[0] = pose.translation[2] = 0;
+  return motion.poses;
+}
+
+void BodyScene::add_motion(const std::vector<RigPose>& motion, int frames) {
+  for (size_t s = 0; s < motion.size(); ++s) {
+    steps_.push_back(motion[s]);
+    starts_.push_back(s == 0);
+  }
+  for (int f = 0; f < frames; ++f) poses_.push_back(motion[static_cast<size_t>(f * substeps_)]);
+}
+
+void BodyScene::advance() {
+  ++frame_;
+  EFFIGY_CHECK(frame_ < static_cast<int>(poses_.size()));
+  // The step of this frame: whole frames of the first motion, then those of the second.
+  const bool second = frame_ >= options_.frames;
+  const size_t begin = second ? static_cast<size_t>((options_.frames - 1) * substeps_ + 1) : 0;
+  const size_t step =
+      begin + static_cast<size_t>((second ? frame_ - options_.frames : frame_) * substeps_);
+  if (!cloth_) {
+    pose_vertices(shape_, steps_[step], truth_);
+  } else if (starts_[step]) {
+    cloth_->settle(steps_[step]);
+  } else {
+    for (size_t s = step - static_cast<size_t>(substeps_) + 1; s <= step; ++s)
+      cloth_->advance(steps_[s], 1 / (options_.frames_per_second * substeps_));
+  }
+  pose_vertices(shape_, tracked_[static_cast<size_t>(frame_)], tracked_vertices_);
+}
+
+void BodyScene::show(const std::vector<float>& vertices) {
+  try {
+    scene_.pose(0, vertices);
+    scene_.commit();
+  } catch (const Error& error) {
+    throw Error("Frame " + std::to_string(frame_) + ": " + error.what(), error.blame());
+  }
+}
+
+std::vector<std::string> BodyScene::body_keypoint_names() const {
+  return builtin_ != nullptr ? effigy::body_keypoint_names(*builtin_) : rig_.joint_names;
+}
+
+std::vector<std::string> BodyScene::face_keypoint_names() const {
+  std::vector<std::string> names;
+  if (builtin_ == nullptr) return names;
+  for (int i = 0; i < 68; ++i) names.push_back("landmark_" + std::to_string(i));
+  names.push_back("eye_left");
+  names.push_back("eye_right");
+  return names;
+}
+
+BodyKeypoints BodyScene::keypoints() const {
+  const RigPose& pose = tracked_.at(static_cast<size_t>(frame_));
+  if (builtin_ != nullptr) return body_keypoints(*builtin_, pose);
+  const std::vector<float> transforms = joint_transforms(shape_, pose);
+  BodyKeypoints out;
+  for (size_t j = 0; j < rig_.parents.size(); ++j)
+    for (size_t r = 0; r < 3; ++r) {
+      const float* m = &transforms[12 * j + 4 * r];
+      const float* rest = &shape_.joints[3 * j];
+      out.body.push_back(m[0] * rest[0] + m[1] * rest[1] + m[2] * rest[2] + m[3]);
+    }
+  return out;
+}
+
+std::array<std::array<float, 12>, 2> BodyScene::root_frames() const {
+  const std::vector<float> transforms =
+      joint_transforms(shape_, tracked_.at(static_cast<size_t>(frame_)));
+  BodyFrames joints;
+  if (builtin_ != nullptr)
+    joints = body_frames(*builtin_);
+  else
+    joints.face = std::max({0, rig_.joint("head"), rig_.joint("Head")});
+  std::array<std::array<float, 12>, 2> out{};
+  std::copy_n(&transforms[12 * static_cast<size_t>(joints.body)], 12, out[0].begin());
+  std::copy_n(&transforms[12 * static_cast<size_t>(joints.face)], 12, out[1].begin());
+  return out;
+}
+
+std::vector<std::string> BodyScene::label_names() const {
+  if (builtin_ == nullptr) return rig_.mesh.parts;
+  return {"skin", "hair", "eyes", "teeth", "mouth", "hands", "cloth", "shoes"};
+}
+
+uint8_t BodyScene::label(const Vec2f& uv, int part) const {
+  if (builtin_ == nullptr) return static_cast<uint8_t>(std::min(part + 1, 255));
+  const auto texel = [&](float x) {
+    return std::clamp(static_cast<int>(x * static_cast<float>(label_size_)), 0, label_size_ - 1);
+  };
+  const size_t i = static_cast<size_t>(texel(1 - uv.y())) * static_cast<size_t>(label_size_) +
+                   static_cast<size_t>(texel(uv.x()));
+  if (labels_[i] != 0) return labels_[i];
+  return static_cast<uint8_t>(body_part_label(rig_.mesh.parts[static_cast<size_t>(part)]));
+}
+
+}  // namespace effigy

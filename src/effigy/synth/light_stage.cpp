@@ -1,0 +1,231 @@
+#include "effigy/synth/light_stage.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+#include <numeric>
+#include <sstream>
+
+#include "effigy/base/error.h"
+#include "effigy/base/log.h"
+#include "effigy/base/npy.h"
+#include "effigy/base/random.h"
+
+namespace effigy {
+namespace {
+
+constexpr double kPi = std::numbers::pi;
+constexpr double kReach = 1.1;  // metres around the dome's centre that cameras see
+constexpr double kHeldOutCameras = 0.2, kHeldOutFrames = 0.1, kGroupPower = 0.5,
+                 kSinglePower = 0.25;
+constexpr int kMostCameras = 10000, kMostLights = 100000, kMostFrames = 1000000,
+              kMostPixels = 16384;
+
+void check_options(const StageOptions& o) {
+  if (o.lights < 1 && o.light_file.empty())
+    throw Error("A light stage needs at least one light; give --lights a number from 1 on.");
+  if (o.cameras < 1 || o.cameras > kMostCameras || o.lights > kMostLights)
+    throw Error("A light stage has 1 to " + std::to_string(kMostCameras) + " cameras and 1 to " +
+                std::to_string(kMostLights) + " lights; correct --cameras or --lights.");
+  if (!(o.radius > 0.1 && o.radius < 100) || !(o.height >= 0 && o.height < 10))
+    throw Error("The radius of a light stage lies between 0.1 and 100 metres; correct --radius.");
+  if (o.width < 16 || o.height_pixels < 16 || o.width > kMostPixels ||
+      o.height_pixels > kMostPixels)
+    throw Error("Images of a light stage have 16 to 16384 pixels a side; correct --size.");
+  if (o.frames < 2 || o.frames > kMostFrames || o.unseen_frames >= o.frames)
+    throw Error(
+        "A stage capture has 2 to 1000000 frames, of which at least one is of the training "
+        "motion; correct --frames or --unseen-frames.");
+  if (!(o.frames_per_second >= 1 && o.frames_per_second <= 240))
+    throw Error("A stage capture has 1 to 240 frames a second; correct --fps.");
+}
+
+// `count` of `all` numbers, evenly spread.
+std::vector<int> spread(int count, int all) {
+  std::vector<int> out;
+  for (int k = 0; k < count; ++k)
+    out.push_back(static_cast<int>((k + 0.5) * static_cast<double>(all) / count));
+  return out;
+}
+
+int share_of(double share, int all) {
+  return all < 2 ? 0 : std::max(1, static_cast<int>(std::lround(share * all)));
+}
+
+std::vector<std::pair<int, float>> random_group(int lights, Random& random) {
+  const int low = std::min(10, std::max(1, lights / 6));
+  const int high = std::min(20, std::max(low, lights / 3));
+  const int size = low + static_cast<int>(random.below(static_cast<uint64_t>(high - low + 1)));
+  std::vector<int> order(static_cast<size_t>(lights));
+  std::iota(order.begin(), order.end(), 0);
+  for (int i = 0; i < size; ++i) {
+    const int j = i + static_cast<int>(random.below(static_cast<uint64_t>(lights - i)));
+    std::swap(order[static_cast<size_t>(i)], order[static_cast<size_t>(j)]);
+  }
+  order.resize(static_cast<size_t>(size));
+  std::sort(order.begin(), order.end());
+  std::vector<std::pair<int, float>> group;
+  for (const int light : order)
+    group.emplace_back(light, static_cast<float>(kGroupPower * lights / size));
+  return group;
+}
+
+std::string number_name(const char* prefix, size_t i) {
+  return format("{}{:03}", prefix, i);
+}
+
+}  // namespace
+
+StageLighting stage_lighting_from_name(const std::string& name) {
+  static const std::vector<std::pair<const char*, StageLighting>> names = {
+      {"mixed", StageLighting::kMixed},
+      {"full", StageLighting::kFull},
+      {"groups", StageLighting::kGroups},
+      {"single", StageLighting::kSingle},
+      {"environment", StageLighting::kEnvironment}};
+  for (const auto& [known, lighting] : names)
+    if (name == known) return lighting;
+  throw Error("There is no lighting '" + name +
+              "'; choose mixed, full, groups, single or environment.");
+}
+
+StageOptions stage_preset(const std::string& name) {
+  StageOptions o;
+  if (name == "small") return o;
+  if (name == "tiny") {
+    o.cameras = 8;
+    o.lights = 64;
+    o.width = o.height_pixels = 256;
+    o.frames = 40;
+    return o;
+  }
+  if (name == "paper") {
+    o.cameras = 512;
+    o.lights = 1024;
+    o.width = 1152;
+    o.height_pixels = 1332;
+    o.frames = 5500;
+    o.frames_per_second = 90;
+    return o;
+  }
+  throw Error("There is no stage '" + name + "'; choose tiny, small or paper.");
+}
+
+std::vector<Vec3d> dome_directions(int count, double lowest, double highest, double turn) {
+  static const double kGolden = kPi * (3 - std::sqrt(5.0));
+  std::vector<Vec3d> out;
+  for (int i = 0; i < count; ++i) {
+    const double y = highest - (i + 0.5) / count * (highest - lowest);
+    const double r = std::sqrt(std::max(0.0, 1 - y * y)), angle = kGolden * i + 2 * kPi * turn;
+    out.emplace_back(r * std::sin(angle), y, r * std::cos(angle));
+  }
+  return out;
+}
+
+std::vector<Vec3d> read_light_positions(const Path& path, double radius, const Vec3d& centre) {
+  std::vector<double> values;
+  if (path.extension() == ".npy") {
+    const NpyArray array = read_npy(path);
+    if (array.shape.size() != 2 || array.shape[1] != 3)
+      throw Error(path.string() + ": light positions must be an array of N x 3; correct it.");
+    values = array.doubles();
+  } else {
+    std::istringstream text(read_text(path, uint64_t{16} << 20));
+    std::string line;
+    for (int number = 1; std::getline(text, line); ++number) {
+      std::istringstream row(line.substr(0, line.find('#')));
+      std::vector<double> three;
+      for (double x = 0; row >> x;) three.push_back(x);
+      if (!row.eof() || (three.size() != 3 && !three.empty()))
+        throw Error(path.string() + ": line " + std::to_string(number) +
+                    " is not three numbers, the position of a light; correct it.");
+      values.insert(values.end(), three.begin(), three.end());
+    }
+  }
+  const size_t count = values.size() / 3;
+  if (count == 0)
+    throw Error(path.string() + ": it has no light positions; a stage needs at least one light.");
+  if (count > static_cast<size_t>(kMostLights))
+    throw Error(path.string() + ": it has more than " + std::to_string(kMostLights) +
+                " light positions.");
+  std::vector<Vec3d> out;
+  double mean = 0;
+  for (size_t i = 0; i < count; ++i) {
+    out.emplace_back(values[3 * i], values[3 * i + 1], values[3 * i + 2]);
+    if (!out.back().allFinite() || out.back().norm() < 1e-6)
+      throw Error(path.string() + ": light position " + std::to_string(i) +
+                  " is not finite or lies at the origin, the dome's centre; correct it.");
+    mean += out.back().norm() / static_cast<double>(count);
+  }
+  for (Vec3d& p : out) p = centre + radius / mean * p;
+  return out;
+}
+
+LightStage make_light_stage(const StageOptions& o) {
+  check_options(o);
+  LightStage stage;
+  stage.centre = Vec3d(0, o.height, 0);
+  // Everything a little above the floor; cameras neither look straight down nor straight up.
+  const double floor = std::max(-0.9, (0.05 - o.height) / o.radius);
+  const std::vector<Vec3d> eyes =
+      dome_directions(o.cameras, std::max(floor, -0.25), 0.7, 0.5 / o.cameras);
+  const double field = 2 * std::asin(std::min(0.95, kReach / o.radius));
+  for (size_t c = 0; c < eyes.size(); ++c)
+    stage.cameras.push_back(
+        {number_name("cam", c),
+         look_at(stage.centre + o.radius * eyes[c], stage.centre, field, o.width, o.height_pixels),
+         false});
+  for (const int c : spread(share_of(kHeldOutCameras, o.cameras), o.cameras))
+    stage.cameras[static_cast<size_t>(c)].test = true;
+  std::vector<Vec3d> lamps;
+  if (o.light_file.empty()) {
+    for (const Vec3d& d : dome_directions(o.lights, floor, 1, 0))
+      lamps.push_back(stage.centre + o.radius * d);
+  } else {
+    lamps = read_light_positions(o.light_file, o.radius, stage.centre);
+  }
+  const double intensity = 4 * kPi * o.radius * o.radius / static_cast<double>(lamps.size());
+  for (const Vec3d& lamp : lamps)
+    stage.lights.push_back({lamp.cast<float>(), Vec3f::Constant(static_cast<float>(intensity))});
+  return stage;
+}
+
+std::vector<StageFrame> plan_stage_frames(const StageOptions& o, int lights) {
+  check_options(o);
+  const int unseen = o.unseen_frames < 0
+                         ? std::max(1, static_cast<int>(std::lround(o.frames / 8.0)))
+                         : o.unseen_frames;
+  const int seen = o.frames - unseen;
+  Random single(o.seed, 0x6f6e65);
+  const int first_light = static_cast<int>(single.below(static_cast<uint64_t>(lights)));
+  std::vector<StageFrame> frames;
+  std::vector<int> partial;
+  for (int f = 0; f < o.frames; ++f) {
+    StageFrame frame;
+    frame.number = f;
+    frame.seconds = (f < seen ? f : f - seen) / o.frames_per_second;
+    frame.split = f < seen ? StageSplit::kTrain : StageSplit::kMotion;
+    const bool full = o.lighting == StageLighting::kFull ||
+                      (o.lighting == StageLighting::kMixed && f < seen && f % 3 == 0);
+    Random random(o.seed, 0x67726f7570 + static_cast<uint64_t>(f));
+    if (o.lighting == StageLighting::kSingle) {
+      // All lights in turn, far apart from frame to frame.
+      int stride = std::max(1, static_cast<int>(0.381966 * lights));
+      while (std::gcd(stride, lights) != 1) ++stride;
+      const int light = static_cast<int>((first_light + int64_t{f} * stride) % lights);
+      frame.lights = {{light, static_cast<float>(kSinglePower * lights)}};
+    } else if (full) {
+      frame.fully_lit = true;
+    } else if (o.lighting != StageLighting::kEnvironment) {
+      frame.lights = random_group(lights, random);
+    }
+    if (!frame.lights.empty() && f < seen) partial.push_back(f);
+    frames.push_back(std::move(frame));
+  }
+  const int count = static_cast<int>(partial.size());
+  for (const int k : spread(share_of(kHeldOutFrames, count), count))
+    frames[static_cast<size_t>(partial[static_cast<size_t>(k)])].split = StageSplit::kLights;
+  return frames;
+}
+
+}  // namespace effigy
