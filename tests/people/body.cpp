@@ -255,12 +255,23 @@ TEST(BodyMaterials, AreFiniteAndLabelled) {
   const BodyMaterials m = builtin_body_materials(body(), 256);
   std::map<uint8_t, int> labels;
   for (const uint8_t label : m.labels) ++labels[label];
-  for (const BodyLabel label : {BodyLabel::kSkin, BodyLabel::kEyes, BodyLabel::kTeeth,
-                                BodyLabel::kHands, BodyLabel::kCloth, BodyLabel::kShoes})
+  for (const BodyLabel label :
+       {BodyLabel::kSkin, BodyLabel::kHair, BodyLabel::kEyes, BodyLabel::kTeeth, BodyLabel::kHands,
+        BodyLabel::kCloth, BodyLabel::kShoes})
     EXPECT_GT(labels[static_cast<uint8_t>(label)], 0) << static_cast<int>(label);
   for (const float x : m.albedo.data) {
     EXPECT_GT(x, 0);
     EXPECT_LT(x, 1);
+  }
+  // Light spreads in skin, not in cloth and hair.
+  for (size_t i = 0; i < m.labels.size(); ++i) {
+    const auto label = static_cast<BodyLabel>(m.labels[i]);
+    if (label == BodyLabel::kHands) {
+      EXPECT_GT(m.scatter.data[i], 0.9f);
+    }
+    if (label == BodyLabel::kCloth || label == BodyLabel::kShoes) {
+      EXPECT_EQ(m.scatter.data[i], 0);
+    }
   }
   for (size_t i = 0; i < m.normal.data.size(); i += 3)
     EXPECT_NEAR(Vec3f(m.normal.data.data() + i).norm(), 1, 1e-4);

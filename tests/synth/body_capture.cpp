@@ -201,6 +201,41 @@ TEST(SynthBody, TrueMeshAndTrackingErrorAreChoices) {
   EXPECT_THROW(c.load_layer("depth", 0, 0), Error);
 }
 
+// Light spreads below skin, not below cloth, and little of it is lost.
+TEST(SynthBody, SubsurfaceIsOfTheSkin) {
+  const test::ScratchFolder scratch;
+  SynthBodyOptions options = tiny();
+  options.stage.frames = 2;
+  options.relight.clear();
+  options.samples = 64;
+  options.bounces = 1;
+  StageCapture captures[2];
+  for (const bool subsurface : {false, true}) {
+    options.subsurface = subsurface;
+    const std::string name = subsurface ? "soft" : "opaque";
+    synth_body_capture(options, scratch / name);
+    captures[subsurface] = read_stage_capture(scratch / name);
+  }
+  double opaque[2] = {}, soft[2] = {}, difference[2] = {};  // of cloth, of skin
+  for (int camera = 0; camera < 3; ++camera) {
+    const Image a = captures[0].load_layer("radiance", camera, 1),
+                b = captures[1].load_layer("radiance", camera, 1),
+                part = captures[0].load_layer("part", camera, 1);
+    for (int y = 0; y < 48; ++y)
+      for (int x = 0; x < 48; ++x) {
+        const int label = static_cast<int>(part.at(x, y)[0]);
+        if ((label != 1 && label != 6 && label != 7) || a.at(x, y)[3] < 1) continue;
+        const int skin = label != 7;
+        opaque[skin] += static_cast<double>(a.at(x, y)[0]);
+        soft[skin] += static_cast<double>(b.at(x, y)[0]);
+        difference[skin] += std::abs(static_cast<double>(a.at(x, y)[0] - b.at(x, y)[0]));
+      }
+  }
+  EXPECT_NEAR(soft[0] / opaque[0], 1, 1e-3);
+  EXPECT_NEAR(soft[1] / opaque[1], 1, 0.12);
+  EXPECT_GT(difference[1] / opaque[1], 5 * difference[0] / opaque[0]);
+}
+
 // The user's own body: it sways in the middle of the stage.
 TEST(SynthBody, FilmsTheUsersOwn) {
   const test::ScratchFolder scratch;

@@ -115,6 +115,7 @@ void add_synth_body(CLI::App& app, BodyCommand& c) {
   app.add_option("--spp", o.samples, "Samples a pixel (default 64; powers of two are best)");
   app.add_option("--bounces", o.bounces, "Reflections of a light path (default 4)");
   app.add_option("--texture-size", o.texture_size, "Texels a side (default 1024)");
+  app.add_flag("--no-subsurface", c.no_subsurface, "Opaque skin");
   app.add_flag("--no-layers", c.no_layers, "Only images, mattes and meshes");
   app.add_flag("--plan", c.plan, "Makes nothing: prints sizes, disk space and time");
 }
@@ -124,6 +125,7 @@ int synth_body(BodyCommand& c, const CommonOptions& common) {
   o.stage = stage_from(c, common);
   o.true_mesh = c.mesh == "true";
   o.layers = !c.no_layers;
+  o.subsurface = !c.no_subsurface;
   if (c.plan) {
     print_plan(c, common.json);
     return 0;

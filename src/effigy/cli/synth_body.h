@@ -13,7 +13,7 @@ struct BodyCommand {
   int cameras = -1, lights = -1, frames = -1, unseen_frames = -1;
   double radius = -1, frames_per_second = -1;
   std::vector<int> size;
-  bool no_layers = false, plan = false;
+  bool no_layers = false, no_subsurface = false, plan = false;
 };
 void add_synth_body(CLI::App& app, BodyCommand& command);
 int synth_body(BodyCommand& command, const CommonOptions& common);

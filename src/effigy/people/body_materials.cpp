@@ -125,6 +125,8 @@ class BodyPainter {
     at.normal = n.cast<double>().normalized();
     at.texel = std::max({step(x, y, 1, 0), step(x, y, 0, 1), 200.0 / map_.size});
     paint_[i] = people::paint_body(model_, skin_, at);
+    const int part = paint_[i].part;
+    paint_[i].scatter = part == people::kSkin || part == people::kHands ? 1 : 0;
   }
 
   // Whether hair grows at a texel of the head: by its place on the mean head.
@@ -139,11 +141,13 @@ class BodyPainter {
   void from_head(size_t i) {
     const int f = map_.triangle[i];
     BodyPaint& p = paint_[i];
-    float c[3], roughness, specular, normal[3];
+    float c[3], roughness, specular, scatter, normal[3];
     sample_head(head_.albedo, i, c);
     sample_head(head_.roughness, i, &roughness);
     sample_head(head_.specular, i, &specular);
     sample_head(head_.normal, i, normal);
+    sample_head(head_.scatter, i, &scatter);
+    p.scatter = static_cast<double>(scatter);
     p.albedo = Vec3d(c[0], c[1], c[2]);
     p.roughness = static_cast<double>(roughness);
     p.specular = static_cast<double>(specular);
@@ -180,8 +184,9 @@ class BodyPainter {
 
   BodyMaterials finish() const {
     const int size = map_.size;
-    BodyMaterials out{Image(size, size, 3), Image(size, size, 1), Image(size, size, 1),
-                      Image(size, size, 3), std::vector<uint8_t>(map_.triangle.size(), 0)};
+    BodyMaterials out{Image(size, size, 3), Image(size, size, 1),
+                      Image(size, size, 1), Image(size, size, 3),
+                      Image(size, size, 1), std::vector<uint8_t>(map_.triangle.size(), 0)};
     const std::vector<int> from = people::nearest_shown(map_);
     for (size_t i = 0; i < from.size(); ++i) {
       const size_t s = static_cast<size_t>(from[i]);
@@ -191,6 +196,7 @@ class BodyPainter {
         out.normal.data[3 * i + c] = static_cast<float>(bump_[s][c]);
       }
       out.roughness.data[i] = static_cast<float>(std::clamp(p.roughness, 0.05, 1.0));
+      out.scatter.data[i] = static_cast<float>(std::clamp(p.scatter, 0.0, 1.0));
       out.specular.data[i] = static_cast<float>(std::clamp(p.specular, 0.02, 0.08));
       if (map_.triangle[i] >= 0)
         out.labels[i] =

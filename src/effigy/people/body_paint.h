@@ -14,8 +14,9 @@ struct BodyPlace {
 struct BodyPaint {
   Vec3d albedo = Vec3d::Zero();  // linear
   double roughness = 0.6, specular = 0.035;
-  double height = 0;  // millimetres, of the fine relief
-  int part = kSkin;   // BodyPart
+  double scatter = 0;  // how far light spreads below the surface, relative to bare skin
+  double height = 0;   // millimetres, of the fine relief
+  int part = kSkin;    // BodyPart
 };
 
 // `skin`: the colour of the head's neck, linear.

@@ -55,6 +55,7 @@ struct BodyMaterials {
   Image roughness;              // 1
   Image specular;               // 1, F0
   Image normal;                 // 3, tangent space, unit, OpenGL (not encoded)
+  Image scatter;                // 1: how far light spreads below the surface, relative to bare skin
   std::vector<uint8_t> labels;  // size * size BodyLabel, kNone outside the islands
 };
 // Throws Error unless size is 32 .. 8192.
@@ -63,8 +64,8 @@ BodyMaterials builtin_body_materials(const BuiltinBody& body, int size);
 // Label of each part of rig.mesh.parts.
 BodyLabel body_part_label(const std::string& part);
 
-// Sets the twist joints and the head's pose shapes from the other joints. Call it last when making a
-// pose; poses of body motions have it done.
+// Sets the twist joints and the head's pose shapes from the other joints. Call it last when making
+// a pose; poses of body motions have it done.
 void drive_body_helpers(const BuiltinBody& body, RigPose& pose);
 
 // Names and positions (3 per keypoint, metres, world) in one pose. Body: every joint but the twist

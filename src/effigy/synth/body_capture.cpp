@@ -60,6 +60,7 @@ Json plan_json(const SynthBodyOptions& o) {
           {"texture_size", o.texture_size},
           {"true_mesh", o.true_mesh},
           {"layers", o.layers},
+          {"subsurface", o.subsurface},
           {"tracking_error", o.tracking_error}};
 }
 
@@ -125,6 +126,7 @@ BodySceneOptions scene_options(const SynthBodyOptions& o, const Protocol& p) {
   s.unseen_motion = o.unseen_motion;
   s.seed = o.stage.seed;
   s.tracking_error = o.tracking_error;
+  s.subsurface = o.subsurface;
   return s;
 }
 
@@ -379,6 +381,7 @@ double probe_seconds(const SynthBodyOptions& options, const LightStage& stage) {
   scene.subject = options.subject;
   scene.body = options.body;
   scene.texture_size = 256;
+  scene.subsurface = options.subsurface;
   BodyScene body(scene);
   body.advance();
   body.show(body.truth());

@@ -24,6 +24,7 @@ struct SynthBodyOptions {
   int texture_size = 1024;
   bool true_mesh = false;  // the mesh handed to training: the true surface, or the tracked one
   bool layers = true;
+  bool subsurface = true;  // light spreads below the built-in body's skin (docs/synth.md)
   double tracking_error = 0;
 };
 

@@ -5,6 +5,7 @@
 
 #include "effigy/base/error.h"
 #include "effigy/people/user_body.h"
+#include "effigy/synth/subsurface.h"
 #include "effigy/synth/tracking_error.h"
 
 namespace effigy {
@@ -46,6 +47,10 @@ void BodyScene::load_builtin() {
   material.roughness = std::move(maps.roughness);
   material.specular = std::move(maps.specular);
   material.normal = std::move(maps.normal);
+  if (options_.subsurface) {
+    material.scatter = std::move(maps.scatter);
+    material.scatter_radius = kSkinScatter;
+  }
   scene_.add_mesh(rig_.mesh, scene_.add_material(material, "the body"), "the body");
 }
 

@@ -25,6 +25,7 @@ struct BodySceneOptions {
   std::string motion, unseen_motion;
   uint64_t seed = 1;
   double tracking_error = 0;  // synth/tracking_error.h
+  bool subsurface = true;     // light spreads below the built-in body's skin
 };
 
 class BodyScene {
