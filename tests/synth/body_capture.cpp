@@ -231,7 +231,7 @@ TEST(SynthBody, SubsurfaceIsOfTheSkin) {
         difference[skin] += std::abs(static_cast<double>(a.at(x, y)[0] - b.at(x, y)[0]));
       }
   }
-  EXPECT_NEAR(soft[0] / opaque[0], 1, 1e-3);
+  EXPECT_NEAR(soft[0] / opaque[0], 1, 0.01);  // pixels at its edges show some skin
   EXPECT_NEAR(soft[1] / opaque[1], 1, 0.12);
   EXPECT_GT(difference[1] / opaque[1], 5 * difference[0] / opaque[0]);
 }
