@@ -6,18 +6,21 @@
 #include <string>
 
 #include "effigy/base/error.h"
+#include "effigy/base/simd.h"
 #include "effigy/base/threads.h"
 #include "effigy/light/cubemap_layout.h"
 
 namespace effigy {
 namespace {
 
-constexpr float kFinest = 0.01f;   // sigma of level 0
-constexpr int kLargestSize = 256;  // of what is filtered
+constexpr float kFinest = 0.01f;     // sigma of level 0
+constexpr int kLargestSource = 256;  // texels a side of what is filtered
 constexpr int kLargestOutput = 128;
 constexpr int kSmallest = 8;
-constexpr int kBlockSide = 8;   // texels that are passed over together
-constexpr double kReach = 5.0;  // standard deviations
+constexpr double kTexelsPerSigma = 3.0;
+constexpr int kSide = 8;  // of the blocks of texels that are passed over together
+constexpr size_t kBlock = kSide * kSide;
+constexpr double kReach = 4.5;  // standard deviations
 
 size_t texel_at(int face, int x, int y, int n) {
   return (static_cast<size_t>(face) * static_cast<size_t>(n) + static_cast<size_t>(y)) *
@@ -25,36 +28,61 @@ size_t texel_at(int face, int x, int y, int n) {
          static_cast<size_t>(x);
 }
 
-// Means over 2 x 2 texels.
-Cubemap half_of(const Cubemap& source) {
-  const int n = source.size / 2;
-  Cubemap out(n);
+// What is filtered: the light of every texel and where it comes from. When texels are taken
+// together, their light is summed and comes from its own middle, so that a lamp stays where it is.
+struct Source {
+  int size = 0;
+  struct Texel {
+    Vec3d direction, light;  // light: radiance times solid angle
+    double area;
+  };
+  std::vector<Texel> texels;  // as in Cubemap
+};
+
+Source source_of(const Cubemap& map) {
+  const int n = map.size;
+  Source source{n, {}};
   for (int face = 0; face < 6; ++face)
     for (int y = 0; y < n; ++y)
       for (int x = 0; x < n; ++x) {
-        double sum[3] = {}, weight = 0;
-        for (int k = 0; k < 4; ++k) {
-          const int sx = 2 * x + k % 2, sy = 2 * y + k / 2;
-          const double area = cubemap_solid_angle(sx, sy, source.size);
-          const float* rgb = source.texels.data() + 3 * texel_at(face, sx, sy, source.size);
-          for (int c = 0; c < 3; ++c) sum[c] += area * static_cast<double>(rgb[c]);
-          weight += area;
-        }
-        for (size_t c = 0; c < 3; ++c)
-          out.texels[3 * texel_at(face, x, y, n) + c] = static_cast<float>(sum[c] / weight);
+        const float* rgb = map.texels.data() + 3 * texel_at(face, x, y, n);
+        const double area = cubemap_solid_angle(x, y, n);
+        source.texels.push_back({cubemap_direction(face, x, y, n).cast<double>().normalized(),
+                                 area * Vec3d(rgb[0], rgb[1], rgb[2]), area});
       }
-  return out;
+  return source;
 }
 
-Cubemap resized(const Cubemap& source, int n) {
-  Cubemap out = source;
-  while (out.size > n) out = half_of(out);
-  if (out.size == n) return out;
+Source half_of(const Source& fine) {
+  const int n = fine.size / 2;
+  Source coarse{n, {}};
+  for (int face = 0; face < 6; ++face)
+    for (int y = 0; y < n; ++y)
+      for (int x = 0; x < n; ++x) {
+        Source::Texel sum{Vec3d::Zero(), Vec3d::Zero(), 0.0};
+        Vec3d middle = Vec3d::Zero();
+        for (int k = 0; k < 4; ++k) {
+          const Source::Texel& t =
+              fine.texels[texel_at(face, 2 * x + k % 2, 2 * y + k / 2, fine.size)];
+          sum.light += t.light;
+          sum.area += t.area;
+          sum.direction += std::max(0.0, t.light.sum()) * t.direction;
+          middle += t.direction;
+        }
+        if (!(sum.direction.norm() > 1e-6 * std::abs(sum.light.sum()))) sum.direction = middle;
+        sum.direction.normalize();
+        coarse.texels.push_back(sum);
+      }
+  return coarse;
+}
+
+// Between the texels of a coarse map the light is interpolated.
+Cubemap enlarged(const Cubemap& map, int n) {
   Cubemap large(n);
   for (int face = 0; face < 6; ++face)
     for (int y = 0; y < n; ++y)
       for (int x = 0; x < n; ++x) {
-        const Vec3f rgb = sample_cubemap(out, cubemap_direction(face, x, y, n));
+        const Vec3f rgb = sample_cubemap(map, cubemap_direction(face, x, y, n));
         std::copy_n(rgb.data(), 3, large.texels.data() + 3 * texel_at(face, x, y, n));
       }
   return large;
@@ -66,83 +94,85 @@ int power_of_two_above(double x) {
   return n;
 }
 
-// The texels of a cubemap as a list of blocks with bounding cones.
-struct Texel {
-  Vec3f direction;
-  float area;
-  Vec3f radiance;
-};
+// Texels that are neighbours, as arrays, with their bounding cone.
 struct Block {
+  float x[kBlock], y[kBlock], z[kBlock], area[kBlock], light[3][kBlock];
   Vec3f direction;
   float radius;  // angle
-  size_t first;
 };
 
-struct Blocks {
-  std::vector<Texel> texels;
+std::vector<Block> blocks_of(const Source& source) {
   std::vector<Block> blocks;
-
-  explicit Blocks(const Cubemap& map) {
-    const int n = map.size, side = std::min(kBlockSide, n);
-    for (int face = 0; face < 6; ++face)
-      for (int by = 0; by < n; by += side)
-        for (int bx = 0; bx < n; bx += side) {
-          Block block{Vec3f::Zero(), 0.0f, texels.size()};
-          for (int k = 0; k < side * side; ++k) {
-            const int x = bx + k % side, y = by + k / side;
-            const float* rgb = map.texels.data() + 3 * texel_at(face, x, y, n);
-            const Vec3f direction = cubemap_direction(face, x, y, n).normalized();
-            texels.push_back({direction, static_cast<float>(cubemap_solid_angle(x, y, n)),
-                              Vec3f(rgb[0], rgb[1], rgb[2])});
-            block.direction += direction;
-          }
-          block.direction.normalize();
-          for (size_t k = block.first; k < texels.size(); ++k)
-            block.radius = std::max(
-                block.radius,
-                std::acos(std::clamp(block.direction.dot(texels[k].direction), -1.0f, 1.0f)));
-          blocks.push_back(block);
+  const int n = source.size;
+  for (int face = 0; face < 6; ++face)
+    for (int by = 0; by < n; by += kSide)
+      for (int bx = 0; bx < n; bx += kSide) {
+        Block block;
+        Vec3d sum = Vec3d::Zero();
+        for (size_t k = 0; k < kBlock; ++k) {
+          const Source::Texel& t = source.texels[texel_at(face, bx + static_cast<int>(k) % kSide,
+                                                          by + static_cast<int>(k) / kSide, n)];
+          block.x[k] = static_cast<float>(t.direction.x());
+          block.y[k] = static_cast<float>(t.direction.y());
+          block.z[k] = static_cast<float>(t.direction.z());
+          block.area[k] = static_cast<float>(t.area);
+          for (int c = 0; c < 3; ++c) block.light[c][k] = static_cast<float>(t.light[c]);
+          sum += t.direction;
         }
-  }
-  size_t per_block() const { return texels.size() / blocks.size(); }
-};
-
-Vec3f mean_under_lobe(const Blocks& source, const std::vector<float>& reach_cosine, const Vec3f& q,
-                      float sigma) {
-  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
-  double weight = 0;
-  const float scale = -0.5f / (sigma * sigma);
-  for (size_t b = 0; b < source.blocks.size(); ++b) {
-    const Block& block = source.blocks[b];
-    if (block.direction.dot(q) < reach_cosine[b]) continue;
-    for (size_t k = block.first; k < block.first + source.per_block(); ++k) {
-      const Texel& t = source.texels[k];
-      float theta2, unused;
-      sg_angle(0.25f * (t.direction - q).squaredNorm(), theta2, unused);
-      const float w = t.area * std::exp(scale * theta2);
-      sum += (w * t.radiance).cast<double>();
-      weight += static_cast<double>(w);
-    }
-  }
-  return (sum / weight).cast<float>();
+        block.direction = sum.normalized().cast<float>();
+        block.radius = 0.0f;
+        for (size_t k = 0; k < kBlock; ++k) {
+          const float cosine = block.direction.dot(Vec3f(block.x[k], block.y[k], block.z[k]));
+          block.radius = std::max(block.radius, std::acos(std::clamp(cosine, -1.0f, 1.0f)));
+        }
+        blocks.push_back(block);
+      }
+  return blocks;
 }
 
-Cubemap filtered(const Cubemap& source, float sigma, int n) {
-  const Blocks blocks(source);
+// Adds a block's light under exp(-theta^2 / 2 sigma^2) about q, and the weights.
+EFFIGY_CLONES
+void add_block(const Block& b, float qx, float qy, float qz, float scale, float* sums) {
+  float w[kBlock];
+  for (size_t k = 0; k < kBlock; ++k) {
+    const float x = b.x[k] - qx, y = b.y[k] - qy, z = b.z[k] - qz;
+    float theta2, unused;
+    sg_angle(0.25f * (x * x + y * y + z * z), theta2, unused);
+    w[k] = sg_exp2(scale * theta2);
+  }
+  // Eight sums side by side, so that the order of additions does not depend on the processor.
+  float lanes[4][8] = {};
+  for (size_t k = 0; k < kBlock; k += 8)
+    for (size_t i = 0; i < 8; ++i) {
+      lanes[0][i] += w[k + i] * b.light[0][k + i];
+      lanes[1][i] += w[k + i] * b.light[1][k + i];
+      lanes[2][i] += w[k + i] * b.light[2][k + i];
+      lanes[3][i] += w[k + i] * b.area[k + i];
+    }
+  for (size_t c = 0; c < 4; ++c)
+    for (const float x : lanes[c]) sums[c] += x;
+}
+
+Cubemap filtered(const Source& source, float sigma, int n) {
+  const std::vector<Block> blocks = blocks_of(source);
   std::vector<float> reach_cosine;
-  for (const Block& block : blocks.blocks)
+  for (const Block& block : blocks)
     reach_cosine.push_back(static_cast<float>(
         std::cos(std::min(std::numbers::pi, kReach * static_cast<double>(sigma) +
                                                 static_cast<double>(block.radius)))));
+  const float scale = -kSgHalfLog2E / (sigma * sigma);
   Cubemap out(n);
-  const size_t rows = static_cast<size_t>(6 * n);
-  parallel_for(rows, 1, [&](size_t begin, size_t end, int) {
+  parallel_for(static_cast<size_t>(6 * n), 1, [&](size_t begin, size_t end, int) {
     for (size_t row = begin; row < end; ++row) {
       const int face = static_cast<int>(row) / n, y = static_cast<int>(row) % n;
       for (int x = 0; x < n; ++x) {
         const Vec3f q = cubemap_direction(face, x, y, n).normalized();
-        const Vec3f rgb = mean_under_lobe(blocks, reach_cosine, q, sigma);
-        std::copy_n(rgb.data(), 3, out.texels.data() + 3 * texel_at(face, x, y, n));
+        float sums[4] = {};
+        for (size_t b = 0; b < blocks.size(); ++b)
+          if (blocks[b].direction.dot(q) >= reach_cosine[b])
+            add_block(blocks[b], q.x(), q.y(), q.z(), scale, sums);
+        for (size_t c = 0; c < 3; ++c)
+          out.texels[3 * texel_at(face, x, y, n) + c] = sums[c] / sums[3];
       }
     }
   });
@@ -184,6 +214,10 @@ Lookup look_up(const Cubemap& map, const Vec3d& q) {
   return {top + fy * (bottom - top), by_x * ds.transpose() + by_y * dt.transpose()};
 }
 
+double level_width(size_t level) {
+  return static_cast<double>(LobeEnvironment::level_sigma(static_cast<int>(level)));
+}
+
 // Light and its scale at (q, sigma), and their derivatives.
 struct Response {
   Vec3d mean, mean_by_sigma;
@@ -200,15 +234,16 @@ Response respond(const std::vector<Cubemap>& levels, SgNorm norm, const Vec3d& q
   r.energy = constant * s2 * integral;
   r.energy_by_sigma =
       d_constant * s2 * integral + constant * (2.0 * sigma * integral + s2 * d_integral);
-  const double last = static_cast<double>(levels.size()) - 1.0;
-  const double at = 2.0 * std::log2(sigma / static_cast<double>(kFinest));
-  const double inside = std::clamp(at, 0.0, last);
-  const size_t k = static_cast<size_t>(std::min(std::floor(inside), last - 1.0));
-  const double f = inside - static_cast<double>(k);
+  const double held = std::clamp(sigma, level_width(0), level_width(levels.size() - 1));
+  size_t k = 0;
+  while (k + 2 < levels.size() && level_width(k + 1) < held) ++k;
+  const auto narrowness = [](double width) { return 1.0 / (width * width); };
+  const double fine_at = narrowness(level_width(k)), coarse_at = narrowness(level_width(k + 1));
+  const double f = (fine_at - narrowness(held)) / (fine_at - coarse_at);
   const Lookup fine = look_up(levels[k], q), coarse = look_up(levels[k + 1], q);
   r.mean = fine.value + f * (coarse.value - fine.value);
   r.mean_by_q = fine.slope + f * (coarse.slope - fine.slope);
-  const double slope = at == inside ? 2.0 / (sigma * std::numbers::ln2) : 0.0;
+  const double slope = held == sigma ? 2.0 / (sigma * sigma * sigma * (fine_at - coarse_at)) : 0.0;
   r.mean_by_sigma = slope * (coarse.value - fine.value);
   return r;
 }
@@ -224,11 +259,17 @@ LobeEnvironment::LobeEnvironment(const Cubemap& radiance) {
   if (size < 2 || size > 1024 || (size & (size - 1)) != 0)
     throw Error("A cubemap of " + std::to_string(size) +
                 " texels a side cannot be filtered; the side must be a power of two up to 1024.");
+  // Coarse maps are interpolated first, so that narrow lobes always meet some texels.
+  std::vector<Source> sources{
+      source_of(size < kLargestSource ? enlarged(radiance, kLargestSource) : radiance)};
+  while (sources.back().size > kSmallest) sources.push_back(half_of(sources.back()));
   for (int k = 0; k < kLevels; ++k) {
     const float sigma = level_sigma(k);
-    const int from = std::min(kLargestSize, power_of_two_above(4.0 / static_cast<double>(sigma)));
-    const int to = std::min(kLargestOutput, power_of_two_above(1.6 / static_cast<double>(sigma)));
-    levels_.push_back(filtered(resized(radiance, from), sigma, to));
+    const int wanted =
+        power_of_two_above(kTexelsPerSigma * 0.5 * std::numbers::pi / static_cast<double>(sigma));
+    size_t from = 0;
+    while (sources[from].size > std::min(wanted, kLargestSource)) ++from;
+    levels_.push_back(filtered(sources[from], sigma, std::min(wanted, kLargestOutput)));
   }
 }
 

@@ -45,7 +45,7 @@ struct TransferView {
   std::span<const float> zonal;     // kZonalCoefficients planes
 };
 
-struct TransferGradients {  // backward adds to them
+struct TransferGradients {     // backward adds to them
   std::span<float> axes;       // 9 planes
   std::span<float> position;   // 3 planes, or empty: not wanted
   std::span<float> zonal;      // kZonalCoefficients planes
