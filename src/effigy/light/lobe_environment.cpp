@@ -13,14 +13,18 @@
 namespace effigy {
 namespace {
 
-constexpr float kFinest = 0.01f;     // sigma of level 0
-constexpr int kLargestSource = 256;  // texels a side of what is filtered
-constexpr int kLargestOutput = 128;
+constexpr float kFinest = 0.01f;   // sigma of level 0
+constexpr int kLargestSize = 256;  // texels a side
 constexpr int kSmallest = 8;
-constexpr double kTexelsPerSigma = 3.0;
-constexpr int kSide = 8;  // of the blocks of texels that are passed over together
+constexpr double kReadTexels = 2.0;     // of the light, in a sigma
+constexpr double kWrittenTexels = 3.0;  // of the filtered map, in a sigma
+constexpr int kSide = 8;                // of the blocks of texels that are passed over together
 constexpr size_t kBlock = kSide * kSide;
-constexpr double kReach = 4.5;  // standard deviations
+constexpr double kReach = 4.0;  // standard deviations
+
+double level_width(size_t level) {
+  return static_cast<double>(LobeEnvironment::level_sigma(static_cast<int>(level)));
+}
 
 size_t texel_at(int face, int x, int y, int n) {
   return (static_cast<size_t>(face) * static_cast<size_t>(n) + static_cast<size_t>(y)) *
@@ -53,6 +57,15 @@ Source source_of(const Cubemap& map) {
   return source;
 }
 
+Cubemap radiance_of(const Source& source) {
+  Cubemap map(source.size);
+  for (size_t i = 0; i < source.texels.size(); ++i)
+    for (size_t c = 0; c < 3; ++c)
+      map.texels[3 * i + c] =
+          static_cast<float>(source.texels[i].light[static_cast<int>(c)] / source.texels[i].area);
+  return map;
+}
+
 Source half_of(const Source& fine) {
   const int n = fine.size / 2;
   Source coarse{n, {}};
@@ -74,24 +87,6 @@ Source half_of(const Source& fine) {
         coarse.texels.push_back(sum);
       }
   return coarse;
-}
-
-// Between the texels of a coarse map the light is interpolated.
-Cubemap enlarged(const Cubemap& map, int n) {
-  Cubemap large(n);
-  for (int face = 0; face < 6; ++face)
-    for (int y = 0; y < n; ++y)
-      for (int x = 0; x < n; ++x) {
-        const Vec3f rgb = sample_cubemap(map, cubemap_direction(face, x, y, n));
-        std::copy_n(rgb.data(), 3, large.texels.data() + 3 * texel_at(face, x, y, n));
-      }
-  return large;
-}
-
-int power_of_two_above(double x) {
-  int n = kSmallest;
-  while (n < x) n *= 2;
-  return n;
 }
 
 // Texels that are neighbours, as arrays, with their bounding cone.
@@ -153,27 +148,49 @@ void add_block(const Block& b, float qx, float qy, float qz, float scale, float*
     for (const float x : lanes[c]) sums[c] += x;
 }
 
+// Fills the kSide x kSide texels of `out` whose first is (bx, by) of `face`.
+void filter_tile(const std::vector<Block>& blocks, float sigma, int face, int bx, int by,
+                 Cubemap& out) {
+  const int n = out.size;
+  const float scale = -kSgHalfLog2E / (sigma * sigma);
+  Vec3f q[kBlock], middle = Vec3f::Zero();
+  for (size_t k = 0; k < kBlock; ++k) {
+    q[k] = cubemap_direction(face, bx + static_cast<int>(k) % kSide,
+                             by + static_cast<int>(k) / kSide, n)
+               .normalized();
+    middle += q[k];
+  }
+  middle.normalize();
+  const auto angle = [](const Vec3f& a, const Vec3f& b) {
+    return std::acos(std::clamp(a.dot(b), -1.0f, 1.0f));
+  };
+  float radius = 0.0f;
+  for (const Vec3f& direction : q) radius = std::max(radius, angle(middle, direction));
+  const auto reach = static_cast<float>(kReach) * sigma;
+  const auto cosine_of = [](float a) { return std::cos(std::min(std::numbers::pi_v<float>, a)); };
+  std::vector<std::pair<const Block*, float>> near;  // and the cosine within which it counts
+  for (const Block& block : blocks)
+    if (block.direction.dot(middle) >= cosine_of(reach + block.radius + radius))
+      near.emplace_back(&block, cosine_of(reach + block.radius));
+  for (size_t k = 0; k < kBlock; ++k) {
+    float sums[4] = {};
+    for (const auto& [block, cosine] : near)
+      if (block->direction.dot(q[k]) >= cosine)
+        add_block(*block, q[k].x(), q[k].y(), q[k].z(), scale, sums);
+    const size_t texel =
+        texel_at(face, bx + static_cast<int>(k) % kSide, by + static_cast<int>(k) / kSide, n);
+    for (size_t c = 0; c < 3; ++c) out.texels[3 * texel + c] = sums[c] / sums[3];
+  }
+}
+
 Cubemap filtered(const Source& source, float sigma, int n) {
   const std::vector<Block> blocks = blocks_of(source);
-  std::vector<float> reach_cosine;
-  for (const Block& block : blocks)
-    reach_cosine.push_back(static_cast<float>(
-        std::cos(std::min(std::numbers::pi, kReach * static_cast<double>(sigma) +
-                                                static_cast<double>(block.radius)))));
-  const float scale = -kSgHalfLog2E / (sigma * sigma);
   Cubemap out(n);
-  parallel_for(static_cast<size_t>(6 * n), 1, [&](size_t begin, size_t end, int) {
-    for (size_t row = begin; row < end; ++row) {
-      const int face = static_cast<int>(row) / n, y = static_cast<int>(row) % n;
-      for (int x = 0; x < n; ++x) {
-        const Vec3f q = cubemap_direction(face, x, y, n).normalized();
-        float sums[4] = {};
-        for (size_t b = 0; b < blocks.size(); ++b)
-          if (blocks[b].direction.dot(q) >= reach_cosine[b])
-            add_block(blocks[b], q.x(), q.y(), q.z(), scale, sums);
-        for (size_t c = 0; c < 3; ++c)
-          out.texels[3 * texel_at(face, x, y, n) + c] = sums[c] / sums[3];
-      }
+  const int side = n / kSide;  // in tiles
+  parallel_for(static_cast<size_t>(6 * side * side), 1, [&](size_t begin, size_t end, int) {
+    for (size_t tile = begin; tile < end; ++tile) {
+      const int t = static_cast<int>(tile), face = t / (side * side), rest = t % (side * side);
+      filter_tile(blocks, sigma, face, rest % side * kSide, rest / side * kSide, out);
     }
   });
   return out;
@@ -214,10 +231,6 @@ Lookup look_up(const Cubemap& map, const Vec3d& q) {
   return {top + fy * (bottom - top), by_x * ds.transpose() + by_y * dt.transpose()};
 }
 
-double level_width(size_t level) {
-  return static_cast<double>(LobeEnvironment::level_sigma(static_cast<int>(level)));
-}
-
 // Light and its scale at (q, sigma), and their derivatives.
 struct Response {
   Vec3d mean, mean_by_sigma;
@@ -256,20 +269,26 @@ float LobeEnvironment::level_sigma(int level) {
 
 LobeEnvironment::LobeEnvironment(const Cubemap& radiance) {
   const int size = radiance.size;
-  if (size < 2 || size > 1024 || (size & (size - 1)) != 0)
+  if (size < kSmallest || size > 1024 || (size & (size - 1)) != 0)
     throw Error("A cubemap of " + std::to_string(size) +
-                " texels a side cannot be filtered; the side must be a power of two up to 1024.");
-  // Coarse maps are interpolated first, so that narrow lobes always meet some texels.
-  std::vector<Source> sources{
-      source_of(size < kLargestSource ? enlarged(radiance, kLargestSource) : radiance)};
+                " texels a side cannot be filtered; the side must be a power of two from " +
+                std::to_string(kSmallest) + " to 1024.");
+  std::vector<Source> sources{source_of(radiance)};
   while (sources.back().size > kSmallest) sources.push_back(half_of(sources.back()));
+  size_t first = 0;
+  while (sources[first].size > kLargestSize) ++first;
+  const int finest = sources[first].size;
   for (int k = 0; k < kLevels; ++k) {
-    const float sigma = level_sigma(k);
-    const int wanted =
-        power_of_two_above(kTexelsPerSigma * 0.5 * std::numbers::pi / static_cast<double>(sigma));
-    size_t from = 0;
-    while (sources[from].size > std::min(wanted, kLargestSource)) ++from;
-    levels_.push_back(filtered(sources[from], sigma, std::min(wanted, kLargestOutput)));
+    const double sigma = level_width(static_cast<size_t>(k));
+    // How many texels of a map of n lie in a sigma where they are largest: n sigma / 2.
+    if (0.5 * sigma * finest < 1.0) {
+      levels_.push_back(radiance_of(sources[first]));
+      continue;
+    }
+    size_t from = first;
+    while (from + 1 < sources.size() && 0.5 * sigma * sources[from + 1].size >= kReadTexels) ++from;
+    const int wanted = kSide * static_cast<int>(std::ceil(2.0 * kWrittenTexels / sigma / kSide));
+    levels_.push_back(filtered(sources[from], static_cast<float>(sigma), std::min(finest, wanted)));
   }
 }
 
