@@ -187,7 +187,7 @@ Cubemap filtered(const Source& source, float sigma, int n) {
   const std::vector<Block> blocks = blocks_of(source);
   Cubemap out(n);
   const int side = n / kSide;  // in tiles
-  parallel_for(static_cast<size_t>(6 * side * side), 1, [&](size_t begin, size_t end, int) {
+  parallel_for(size_t{6} * static_cast<size_t>(side * side), 1, [&](size_t begin, size_t end, int) {
     for (size_t tile = begin; tile < end; ++tile) {
       const int t = static_cast<int>(tile), face = t / (side * side), rest = t % (side * side);
       filter_tile(blocks, sigma, face, rest % side * kSide, rest / side * kSide, out);
