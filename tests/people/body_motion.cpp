@@ -74,17 +74,18 @@ TEST(BodyMotion, SkinDoesNotCollapse) {
   for (const RigPose& pose : motion.poses) {
     pose_vertices(body().shape, pose, vertices);
     const std::vector<float> m = joint_transforms(body().shape, pose);
+    std::vector<Mat3f> turns(static_cast<size_t>(mesh.vertex_count()), Mat3f::Zero());
+    for (size_t v = 0; v < turns.size(); ++v)
+      for (size_t j = 0; j < joints; ++j) {
+        const float w = body().rig.weights[v * joints + j];
+        if (w == 0) continue;
+        for (int r = 0; r < 3; ++r)
+          for (int c = 0; c < 3; ++c) turns[v](r, c) += w * m[12 * j + 4 * r + c] / 3;
+      }
     for (size_t f = 0; f < mesh.triangles.size(); ++f) {
       if (mesh.triangle_part[f] < 5) continue;  // the head's own
       const Vec3i& t = mesh.triangles[f];
-      Mat3f turn = Mat3f::Zero();
-      for (int k = 0; k < 3; ++k)
-        for (size_t j = 0; j < joints; ++j) {
-          const float w = body().rig.weights[static_cast<size_t>(t[k]) * joints + j];
-          if (w == 0) continue;
-          for (int r = 0; r < 3; ++r)
-            for (int c = 0; c < 3; ++c) turn(r, c) += w * m[12 * j + 4 * r + c] / 3;
-        }
+      const Mat3f turn = turns[t[0]] + turns[t[1]] + turns[t[2]];
       const Vec3f rest =
           (mesh.vertex(t[1]) - mesh.vertex(t[0])).cross(mesh.vertex(t[2]) - mesh.vertex(t[0]));
       const Vec3f now = (point(vertices, t[1]) - point(vertices, t[0]))

@@ -426,7 +426,14 @@ SynthBodyPlan plan_body_capture(const SynthBodyOptions& options) {
 
 SynthBodyResult synth_body_capture(const SynthBodyOptions& options, const Path& folder) {
   check_options(options);
-  return BodyCaptureWriter(options, folder).run();
+  try {
+    return BodyCaptureWriter(options, folder).run();
+  } catch (const Interrupted&) {
+    clear_progress_line();
+    log_info("What is done stays in " + folder.string() +
+             ".partial; the same command goes on with it.");
+    throw;
+  }
 }
 
 }  // namespace effigy
