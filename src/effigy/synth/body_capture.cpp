@@ -19,7 +19,7 @@ namespace {
 
 namespace fs = std::filesystem;
 constexpr int kLayerSamples = 16, kIrradianceSamples = 16;
-constexpr double kImageBytes = 0.4, kLayerBytes = 5;  // a pixel, about, as measured
+constexpr double kImageBytes = 0.3, kLayerBytes = 3.2;  // a pixel, about, as measured
 constexpr const char* kPlanFile = "plan.json";
 
 void check_options(const SynthBodyOptions& o) {
