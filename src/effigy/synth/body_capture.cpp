@@ -131,10 +131,17 @@ BodySceneOptions scene_options(const SynthBodyOptions& o, const Protocol& p) {
 }
 
 // The folder beside the final one in which a capture grows.
+Path partial_path(Path folder) {
+  if (folder.filename().empty()) folder = folder.parent_path();
+  folder += ".partial";
+  return folder;
+}
+
 class PartialFolder {
  public:
   PartialFolder(const Path& final_path, const Json& plan) : final_(final_path) {
     if (final_.filename().empty()) final_ = final_.parent_path();
+    work_ = partial_path(final_);
     const bool taken =
         fs::exists(final_) && !(fs::is_directory(final_) &&
                                 (fs::is_empty(final_) || fs::exists(final_ / "capture.json")));
@@ -142,8 +149,6 @@ class PartialFolder {
       throw Error(
           "Cannot write " + final_.string() + ": other files are in the way; choose another name.",
           Blame::kResource);
-    work_ = final_;
-    work_ += ".partial";
     if (!fs::exists(work_ / kPlanFile)) {
       if (fs::exists(work_) && !fs::is_empty(work_))
         throw Error(
@@ -430,8 +435,9 @@ SynthBodyResult synth_body_capture(const SynthBodyOptions& options, const Path& 
     return BodyCaptureWriter(options, folder).run();
   } catch (const Interrupted&) {
     clear_progress_line();
-    log_info("What is done stays in " + folder.string() +
-             ".partial; the same command goes on with it.");
+    const Path work = partial_path(folder);
+    if (fs::exists(work))
+      log_info("What is done stays in " + work.string() + "; the same command goes on with it.");
     throw;
   }
 }
