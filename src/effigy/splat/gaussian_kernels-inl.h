@@ -95,7 +95,10 @@ template <class Begin, class Visit, class End>
 HWY_INLINE size_t walk_gaussians(const GaussianTarget& scene, const SplatTile& tile,
                                  VectorSet& alive, const Begin& begin, const Visit& visit,
                                  const End& end) {
-  GaussianRow row;
+  // The next Gaussian is looked at before the present one is drawn: which vectors it reaches takes
+  // long to find out, and the processor cannot go on without knowing.
+  GaussianRow rows[2];
+  if (tile.count > 0) find_gaussian(scene.records[tile.entries[0]], tile, rows[0]);
   size_t e = 0;
   for (; e < tile.count && alive.count != 0; ++e) {
     const uint32_t id = tile.entries[e];
@@ -103,7 +106,9 @@ HWY_INLINE size_t walk_gaussians(const GaussianTarget& scene, const SplatTile& t
       hwy::Prefetch(scene.records + tile.entries[e + 8]);
       hwy::Prefetch(scene.features + tile.entries[e + 8] * scene.channels);
     }
-    find_gaussian(scene.records[id], tile, row);
+    const GaussianRow& row = rows[e % 2];
+    if (e + 1 < tile.count)
+      find_gaussian(scene.records[tile.entries[e + 1]], tile, rows[(e + 1) % 2]);
     begin(id);
     for (size_t w = 0; w < kWords; ++w) {
       for (uint32_t bits = row.reach[w] & alive.words[w]; bits != 0; bits &= bits - 1)

@@ -114,7 +114,7 @@ void render_gaussians(const Camera& camera, const GaussianView& gaussians,
   const std::vector<uint32_t>& order = state.list.order;
   bin_splats(order.size(), order.data(), camera.width, camera.height, true, state.bins,
              [&](size_t k, const auto& emit) {
-               constexpr size_t kAhead = 8;
+               constexpr size_t kAhead = 16;
                if (k + kAhead < order.size()) __builtin_prefetch(&records[order[k + kAhead]]);
                const GaussianRecord& r = records[order[k]];
                for_each_span(r.anchor_x, r.anchor_y, r.outline, camera.width, camera.height, emit);
