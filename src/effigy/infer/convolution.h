@@ -1,4 +1,4 @@
-// Private to infer/: how libtorch is used: one convolution on whichever of its backends is
+// For infer/, learn/ and body/ only (it brings libtorch's headers along): how libtorch is used: one convolution on whichever of its backends is
 // the fastest here, and its threads.
 #pragma once
 
