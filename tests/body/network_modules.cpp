@@ -168,7 +168,7 @@ TEST(BodyModules, ShapesAndRanges) {
       EXPECT_TRUE(out.gaussians.isfinite().all().item<bool>());
       for (const at::Tensor& map : {out.visibility, out.shadow}) {
         EXPECT_GE(map.min().item<float>(), 0.0f);
-        EXPECT_LE(map.max().item<float>(), 1.0f);
+        EXPECT_LE(map.max().item<float>(), 1.0f + 1e-6f);  // resizing rounds
         EXPECT_GT(map.max().item<float>(), map.min().item<float>());
       }
     }

@@ -57,38 +57,50 @@ constexpr Case kCases[] = {{1, 1, 1, 1, false, 1.0},
                            {8, 65, 6, 2, false, 1.0},
                            {2, 7, 1, 9, true, kLeakySlope}};
 
-// The four-phase form, shuffled, against libtorch's transposed convolution: values and the
-// gradients of picture, weight and bias.
+// W[in][out][2 - 2 ty + py][2 - 2 tx + px] = V[ty][tx][in][py][px][out]: as ConvTranspose2d has it.
+at::Tensor transposed_weight(const at::Tensor& v) {
+  return v.permute({2, 5, 0, 3, 1, 4}).flip({2, 4}).reshape({v.size(2), v.size(5), 4, 4});
+}
+
+TEST(Layers, LayoutOfTheKernel) {
+  const at::Tensor v = random_tensor({2, 2, 3, 2, 2, 5}, 1), w = transposed_weight(v);
+  for (int64_t t = 0; t < 2; ++t)
+    for (int64_t p = 0; p < 2; ++p)
+      EXPECT_EQ(w[1][4][2 - 2 * t + p][2 - 2 * (1 - t) + p].item<double>(),
+                v[t][1 - t][1][p][p][4].item<double>());
+}
+
+// The four-phase form against libtorch's transposed convolution: values and the gradients of
+// picture, weight and bias.
 TEST(Layers, FourPhasesAreTheTransposedConvolution) {
   for (const Case& c : kCases) {
     const at::Tensor x = leaf(random_tensor({c.height, c.width, c.in}, 1));
-    const at::Tensor w = leaf(random_tensor({c.in, c.out, 4, 4}, 2));
+    const at::Tensor v = leaf(random_tensor({2, 2, c.in, 2, 2, c.out}, 2));
     const std::vector<int64_t> untied = {2 * c.height, 2 * c.width, c.out};
     const at::Tensor b = leaf(random_tensor(c.tied ? std::vector<int64_t>{c.out} : untied, 3));
-    const at::Tensor ours =
-        shuffle_phases(convolve_picture(x, four_phase_weight(w), 1), b, c.slope);
-    at::Tensor theirs = to_picture(at::conv_transpose2d(to_batch(x), w, {}, {2, 2}, {1, 1})) + b;
+    const at::Tensor ours = up_convolve(x, v, b, c.slope);
+    at::Tensor theirs =
+        to_picture(at::conv_transpose2d(to_batch(x), transposed_weight(v), {}, {2, 2}, {1, 1})) + b;
     theirs = at::leaky_relu(theirs, c.slope);
     EXPECT_LT(distance(ours, theirs), 1e-12);
     const at::Tensor d_y = random_tensor(untied, 4);
-    const auto our_gradients = gradients_of(ours, d_y, {x, w, b});
-    const auto their_gradients = gradients_of(theirs, d_y, {x, w, b});
+    const auto our_gradients = gradients_of(ours, d_y, {x, v, b});
+    const auto their_gradients = gradients_of(theirs, d_y, {x, v, b});
     for (size_t i = 0; i < 3; ++i)
       EXPECT_LT(distance(our_gradients[i], their_gradients[i]), 1e-11) << i;
   }
 }
 
-// Float takes oneDNN's convolutions and vectorised passes.
 TEST(Layers, FloatAgreesWithDouble) {
   for (const Case& c : kCases) {
     std::vector<at::Tensor> results[2];
     for (const auto type : {at::ScalarType::Double, at::ScalarType::Float}) {
       const at::Tensor x = leaf(random_tensor({c.height, c.width, c.in}, 1, type));
-      const at::Tensor w = leaf(random_tensor({c.in, c.out, 4, 4}, 2, type));
+      const at::Tensor w = leaf(random_tensor({2, 2, c.in, 2, 2, c.out}, 2, type));
       const std::vector<int64_t> untied = {2 * c.height, 2 * c.width, c.out};
       const at::Tensor b =
           leaf(random_tensor(c.tied ? std::vector<int64_t>{c.out} : untied, 3, type));
-      const at::Tensor y = shuffle_phases(convolve_picture(x, four_phase_weight(w), 1), b, c.slope);
+      const at::Tensor y = up_convolve(x, w, b, c.slope);
       auto& list = results[type == at::ScalarType::Float];
       list = gradients_of(y, random_tensor(untied, 4, type), {x, w, b});
       list.push_back(y);
@@ -177,12 +189,10 @@ TEST(Layers, InitialisationByTheReference) {
     EXPECT_NEAR(p[3 * i + 1].value[0].item<double>(), (i == 1 ? 0.25 : 1.0) * norm, 1e-9);
     EXPECT_EQ(p[3 * i + 2].value.abs().max().item<double>(), 0.0);
   }
-  // The four phases of a transposed kernel are equal: every pixel becomes a block of 2 x 2 with
-  // equal sums of weights.
+  // The four phases of a kernel are equal.
   const double* kernel = p[0].value.data_ptr<double>();
-  for (int64_t k = 0; k < 32 * 16; ++k, kernel += 16)
-    for (int y = 0; y < 4; ++y)
-      for (int x = 0; x < 4; ++x) EXPECT_EQ(kernel[4 * y + x], kernel[4 * (y / 2 * 2) + x / 2 * 2]);
+  for (int64_t row = 0; row < 4 * 32; ++row, kernel += 4 * 16)
+    for (int64_t i = 16; i < 4 * 16; ++i) ASSERT_EQ(kernel[i], kernel[i % 16]);
   // Another type, the same numbers; another seed, others.
   ParameterMaker same = ParameterMaker::initial(5, at::ScalarType::Float);
   const UpLayer again(same, "up", 32, 16, 4);

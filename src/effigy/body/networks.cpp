@@ -157,7 +157,7 @@ void BodyNetworks::set_training(bool training) {
 std::span<const float> BodyNetworks::decode(std::span<const float> body,
                                             std::span<const float> face) {
   State& s = *state_;
-  use_torch_threads(thread_count());
+  use_torch_threads(1);
   const at::AutoGradMode mode(s.training);
   s.visibility = at::Tensor();
   s.seed = s.modules.seed(s.modules.encode(s.keypoints(body, s.body_scale, "body"),
@@ -170,7 +170,7 @@ std::span<const float> BodyNetworks::visibility(std::span<const float> direction
   State& s = *state_;
   EFFIGY_CHECK(s.seed.defined());
   EFFIGY_CHECK_EQ(directions.size(), 3 * s.texels.size());
-  use_torch_threads(thread_count());
+  use_torch_threads(1);
   const at::AutoGradMode mode(s.training);
   at::Tensor view = at::zeros({kSeedSide, kSeedSide, 3}, at::ScalarType::Float);
   float* mean = view.data_ptr<float>();
@@ -197,7 +197,7 @@ std::span<const float> BodyNetworks::shadow(std::span<const float> irradiance) {
 void BodyNetworks::backward(std::span<const float> d_gaussians, std::span<const float> d_visibility,
                             std::span<const float> d_shadow) {
   State& s = *state_;
-  use_torch_threads(thread_count());
+  use_torch_threads(d_shadow.empty() ? 1 : thread_count());
   std::vector<at::Tensor> results, gradients;
   const auto add = [&](const at::Tensor& result, std::span<const float> gradient) {
     if (gradient.empty()) return;

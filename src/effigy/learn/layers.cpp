@@ -19,7 +19,8 @@
 #include "effigy/base/error.h"
 #include "effigy/base/random.h"
 #include "effigy/base/threads.h"
-#include "effigy/learn/phase_shuffle.h"
+#include "effigy/learn/bias_activation.h"
+#include "effigy/learn/up_convolution.h"
 
 namespace effigy {
 namespace {
@@ -39,40 +40,51 @@ void with_type(const at::Tensor& tensor, Run&& run) {
   }
 }
 
-PhaseShuffle shuffle_shape(const at::Tensor& phases, const at::Tensor& bias, double slope) {
-  return {static_cast<size_t>(phases.size(0) - 1), static_cast<size_t>(phases.size(1) - 1),
-          static_cast<size_t>(phases.size(2) / 4), bias.dim() == 1, slope};
+UpConvolution up_shape(const at::Tensor& x, const at::Tensor& bias, double slope) {
+  return {static_cast<size_t>(x.size(0)),
+          static_cast<size_t>(x.size(1)),
+          static_cast<size_t>(x.size(2)),
+          static_cast<size_t>(bias.size(-1)),
+          bias.dim() == 1,
+          slope};
 }
 
-class ShufflePhases : public Function<ShufflePhases> {
+class UpConvolve : public Function<UpConvolve> {
  public:
-  static at::Tensor forward(AutogradContext* context, const at::Tensor& phases,
-                            const at::Tensor& bias, double slope) {
-    const at::Tensor x = phases.contiguous();
-    const PhaseShuffle shape = shuffle_shape(x, bias, slope);
-    EFFIGY_CHECK_EQ(bias.numel(), static_cast<int64_t>(shape.bias_count()));
-    at::Tensor y =
-        at::empty({2 * (x.size(0) - 1), 2 * (x.size(1) - 1), x.size(2) / 4}, x.options());
+  static at::Tensor forward(AutogradContext* context, const at::Tensor& picture,
+                            const at::Tensor& kernel, const at::Tensor& bias, double slope) {
+    const at::Tensor x = picture.contiguous(), weight = kernel.contiguous();
+    const UpConvolution shape = up_shape(x, bias, slope);
+    const int64_t out = bias.size(-1), height = 2 * x.size(0), width = 2 * x.size(1);
+    EFFIGY_CHECK_EQ(weight.numel(), 16 * x.size(2) * out);
+    EFFIGY_CHECK_EQ(bias.numel(), shape.tied ? out : height * width * out);
+    at::Tensor y = at::empty({height, width, out}, x.options());
     with_type(x, [&](auto type) {
       using T = decltype(type);
-      phase_shuffle(shape, x.data_ptr<T>(), bias.data_ptr<T>(), y.data_ptr<T>());
+      up_convolution(shape, x.data_ptr<T>(), weight.data_ptr<T>(), bias.data_ptr<T>(),
+                     y.data_ptr<T>());
     });
-    context->save_for_backward({y, bias});
+    context->save_for_backward({x, weight, bias, y});
     context->saved_data["slope"] = slope;
     return y;
   }
   static variable_list backward(AutogradContext* context, const variable_list& gradients) {
     const auto saved = context->get_saved_variables();
-    const at::Tensor &y = saved[0], &bias = saved[1], d_y = gradients[0].contiguous();
-    at::Tensor d_x = at::empty({y.size(0) / 2 + 1, y.size(1) / 2 + 1, 4 * y.size(2)}, y.options());
-    at::Tensor d_bias = at::empty(bias.sizes(), bias.options());
-    const PhaseShuffle shape = shuffle_shape(d_x, bias, context->saved_data["slope"].toDouble());
-    with_type(y, [&](auto type) {
+    const at::Tensor &x = saved[0], &weight = saved[1], &bias = saved[2], &y = saved[3];
+    const at::Tensor d_y = gradients[0].contiguous();
+    const UpConvolution shape = up_shape(x, bias, context->saved_data["slope"].toDouble());
+    at::Tensor d_x = at::empty(x.sizes(), x.options());
+    at::Tensor d_weight = at::empty(weight.sizes(), x.options());
+    // Without an activation an untied bias has the gradient of y, and needs no copy of it.
+    const bool same = !shape.tied && shape.slope == 1.0;
+    at::Tensor d_bias = same ? d_y : at::empty(bias.sizes(), x.options());
+    with_type(x, [&](auto type) {
       using T = decltype(type);
-      phase_shuffle_backward(shape, y.data_ptr<T>(), d_y.data_ptr<T>(), d_x.data_ptr<T>(),
-                             d_bias.data_ptr<T>());
+      up_convolution_backward(shape, x.data_ptr<T>(), weight.data_ptr<T>(), y.data_ptr<T>(),
+                              d_y.data_ptr<T>(), d_x.data_ptr<T>(), d_weight.data_ptr<T>(),
+                              same ? nullptr : d_bias.data_ptr<T>());
     });
-    return {d_x, d_bias, at::Tensor()};
+    return {d_x, d_weight, d_bias, at::Tensor()};
   }
 };
 
@@ -230,12 +242,12 @@ at::Tensor ParameterMaker::uniform(const std::string& name, std::vector<int64_t>
 at::Tensor ParameterMaker::equal_phases(const std::string& name, int64_t in, int64_t out,
                                         double bound) {
   Random random(seed_, parameters_.size());
-  return make(name, {in, out, 4, 4}, [&](std::vector<double>& values) {
-    for (size_t kernel = 0; kernel < values.size(); kernel += 16)
-      for (size_t tap = 0; tap < 4; ++tap) {
+  return make(name, {2, 2, in, 2, 2, out}, [&](std::vector<double>& values) {
+    const auto n = static_cast<size_t>(out);
+    for (size_t row = 0; row < values.size(); row += 4 * n)
+      for (size_t o = 0; o < n; ++o) {
         const double value = random.uniform(-bound, bound);
-        const size_t corner = kernel + tap / 2 * 8 + tap % 2 * 2;
-        for (size_t at : {corner, corner + 1, corner + 4, corner + 5}) values[at] = value;
+        for (size_t phase = 0; phase < 4; ++phase) values[row + phase * n + o] = value;
       }
   });
 }
@@ -280,8 +292,7 @@ UpLayer::UpLayer(ParameterMaker& make, const std::string& name, int64_t in, int6
 }
 
 at::Tensor UpLayer::operator()(const at::Tensor& x) const {
-  const at::Tensor weight = four_phase_weight(weight_norm(v_, g_, 1));
-  return shuffle_phases(convolve_picture(x, weight, 1), bias_, slope_);
+  return up_convolve(x, weight_norm(v_, g_, 5), bias_, slope_);
 }
 
 at::Tensor weight_norm(const at::Tensor& v, const at::Tensor& g, int64_t out) {
@@ -290,17 +301,9 @@ at::Tensor weight_norm(const at::Tensor& v, const at::Tensor& g, int64_t out) {
   return v * (g / v.norm()).view(sides);
 }
 
-at::Tensor four_phase_weight(const at::Tensor& weight) {
-  const int64_t in = weight.size(0), out = weight.size(1);
-  // k = 2a + p with a = 1 - t: dimensions (in, out, a_y, p_y, a_x, p_x).
-  return weight.view({in, out, 2, 2, 2, 2})
-      .flip({2, 4})
-      .permute({3, 5, 1, 0, 2, 4})
-      .reshape({4 * out, in, 2, 2});
-}
-
-at::Tensor shuffle_phases(const at::Tensor& phases, const at::Tensor& bias, double slope) {
-  return ShufflePhases::apply(phases, bias, slope);
+at::Tensor up_convolve(const at::Tensor& x, const at::Tensor& weight, const at::Tensor& bias,
+                       double slope) {
+  return UpConvolve::apply(x, weight, bias, slope);
 }
 
 at::Tensor convolve_picture(const at::Tensor& x, const at::Tensor& weight, int64_t padding) {

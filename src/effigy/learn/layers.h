@@ -46,7 +46,7 @@ class ParameterMaker {
 
   // Uniform in +-bound.
   at::Tensor uniform(const std::string& name, std::vector<int64_t> shape, double bound);
-  // Transposed kernels [in, out, 4, 4] whose four phases are equal, uniform in +-bound.
+  // Kernels of an UpLayer, [2, 2, in, 2, 2, out], whose four phases are equal, uniform in +-bound.
   at::Tensor equal_phases(const std::string& name, int64_t in, int64_t out, double bound);
   at::Tensor constant(const std::string& name, std::vector<int64_t> shape, double value);
 
@@ -98,8 +98,8 @@ class ConvLayer {
   bool tied_;
 };
 
-// Transposed convolution 4x4, stride 2, padding 1, in its four-phase form (phase_shuffle.h):
-// [side, side, in] -> [2 side, 2 side, out]. V is [in, out, 4, 4], as ConvTranspose2d has it.
+// Transposed convolution 4x4, stride 2, padding 1 (up_convolution.h):
+// [side, side, in] -> [2 side, 2 side, out].
 class UpLayer {
  public:
   UpLayer(ParameterMaker& make, const std::string& name, int64_t in, int64_t out, int64_t side,
@@ -114,10 +114,10 @@ class UpLayer {
 
 // g_o V / |V| along dimension `out` of V, which has g's length.
 at::Tensor weight_norm(const at::Tensor& v, const at::Tensor& g, int64_t out);
-// [in, out, 4, 4] -> [(py, px, out), in, 2, 2].
-at::Tensor four_phase_weight(const at::Tensor& weight);
-// leaky(shuffled phases + bias) with gradients; phases [side + 1, side + 1, 4 out].
-at::Tensor shuffle_phases(const at::Tensor& phases, const at::Tensor& bias, double slope);
+// up_convolution() with gradients: x [h, w, in], weight [2, 2, in, 2, 2, out], bias
+// [2 h, 2 w, out] or [out] -> [2 h, 2 w, out].
+at::Tensor up_convolve(const at::Tensor& x, const at::Tensor& weight, const at::Tensor& bias,
+                       double slope);
 // Convolution of stride 1 over a picture: x [h, w, in], weight [out, in, k, k].
 at::Tensor convolve_picture(const at::Tensor& x, const at::Tensor& weight, int64_t padding);
 // Bilinear, corners on corners: [h, w, c] -> [side, side, c].
