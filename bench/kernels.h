@@ -5,17 +5,12 @@
 #include <string>
 #include <vector>
 
+#include "bench/result.h"
 #include "effigy/geometry/types.h"
 #include "effigy/splat/gaussian_raster.h"
 #include "effigy/splat/surfel_raster.h"
 
 namespace effigy {
-
-struct BenchResult {
-  std::string name;  // key of `effigy bench --json`
-  double median = 0, min = 0, max = 0;
-  int threads = 1;
-};
 
 struct BenchOptions {
   int repeats = 15;  // timed runs of each kernel, after one to warm up

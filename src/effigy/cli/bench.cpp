@@ -5,14 +5,15 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <cstdio>
 
 #include "bench/kernels.h"
 #include "effigy/avatar/renderer.h"
 #include "effigy/base/log.h"
 #include "effigy/base/threads.h"
+#include "effigy/cli/bench_figures.h"
 #include "effigy/cli/command_line.h"
 #include "effigy/cli/commands.h"
+#include "effigy/cli/program.h"
 #include "effigy/head/trainer.h"
 #include "effigy/image/metrics.h"
 #include "effigy/light/builtin_lights.h"
@@ -130,6 +131,7 @@ int run_bench(int argc, char** argv) {
       "geometry and with the rig moving, and training. Medians with their spread.\n\n"
       "example: effigy bench --json\n"
       "         effigy bench --only gaussian\n"
+      "         effigy bench --only networks\n"
       "         effigy bench --avatar anna",
       "bench");
   std::string avatar_path, only = "all";
@@ -139,10 +141,15 @@ int run_bench(int argc, char** argv) {
                  "Measure playback on this avatar (default: the demo head)");
   app.add_option("--repeats", repeats, "Timed runs of each figure (default 9)")
       ->check(CLI::Range(1, 1000));
-  app.add_option("--only", only, "all, head or gaussian (default all)")
-      ->check(CLI::IsMember({"all", "head", "gaussian"}));
+  app.add_option("--only", only,
+                 "all (the default: head and gaussian), head, gaussian, or networks: those of "
+                 "bodies")
+      ->check(CLI::IsMember({"all", "head", "gaussian", "networks"}));
+  std::string size;
+  app.add_option("--size", size, "networks: tiny, small or full (default small)");
   add_common(app, common, false, true);
   if (!parse_command_line(app, argc, argv, common)) return 0;
+  if (only == "networks") return hand_over(argc, argv);
 
   BenchOptions options;
   options.repeats = repeats;
@@ -160,17 +167,7 @@ int run_bench(int argc, char** argv) {
     log_info("measuring playback");
     bench_playback(avatar_path.empty() ? started : read_head_avatar(avatar_path), repeats, figures);
   }
-  Json json = Json::object();
-  for (const BenchResult& f : figures)
-    json[f.name] = {{"median", f.median}, {"min", f.min}, {"max", f.max}, {"threads", f.threads}};
-  if (common.json) {
-    print_json(json);
-  } else {
-    std::printf("%-40s %12s %12s %12s %8s\n", "", "median", "min", "max", "threads");
-    for (const BenchResult& f : figures)
-      std::printf("%-40s %12.3f %12.3f %12.3f %8d\n", f.name.c_str(), f.median, f.min, f.max,
-                  f.threads);
-  }
+  print_figures(figures, common.json);
   return 0;
 }
 

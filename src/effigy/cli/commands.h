@@ -16,5 +16,6 @@ int run_splat(int argc, char** argv);
 int run_study(int argc, char** argv);
 int run_info(int argc, char** argv);
 int run_bench(int argc, char** argv);
+int run_bench_learn(int argc, char** argv);  // effigy-learn
 
 }  // namespace effigy

@@ -1,0 +1,23 @@
+#include "effigy/cli/bench_figures.h"
+
+#include <cstdio>
+
+#include "effigy/cli/command_line.h"
+
+namespace effigy {
+
+void print_figures(const std::vector<BenchResult>& figures, bool json) {
+  if (!json) {
+    std::printf("%-40s %12s %12s %12s %8s\n", "", "median", "min", "max", "threads");
+    for (const BenchResult& f : figures)
+      std::printf("%-40s %12.3f %12.3f %12.3f %8d\n", f.name.c_str(), f.median, f.min, f.max,
+                  f.threads);
+    return;
+  }
+  Json object = Json::object();
+  for (const BenchResult& f : figures)
+    object[f.name] = {{"median", f.median}, {"min", f.min}, {"max", f.max}, {"threads", f.threads}};
+  print_json(object);
+}
+
+}  // namespace effigy
