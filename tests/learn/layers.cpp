@@ -5,6 +5,7 @@
 #include <ATen/ops/conv_transpose2d.h>
 #include <ATen/ops/from_blob.h>
 #include <ATen/ops/leaky_relu.h>
+#include <ATen/ops/matmul.h>
 #include <torch/csrc/autograd/autograd.h>
 
 #include <cmath>
@@ -160,6 +161,23 @@ TEST(Layers, ConvolutionWithUntiedAndTiedBias) {
     const auto b = gradients_of(theirs, d_y, {x, bias, parameters[0].value});
     for (size_t i = 0; i < a.size(); ++i) EXPECT_LT(distance(a[i], b[i]), 1e-11) << i;
   }
+}
+
+TEST(Layers, DenseByItsDefinition) {
+  ParameterMaker make = ParameterMaker::initial(3, at::ScalarType::Double);
+  const DenseLayer layer(make, "layer", 4, 6);
+  const auto& p = make.parameters();
+  p[1].value.detach().copy_(random_tensor({6}, 1));
+  p[2].value.detach().copy_(random_tensor({6}, 2));
+  const at::Tensor x = leaf(random_tensor({3, 4}, 3));
+  const at::Tensor ours = layer(x);
+  const at::Tensor theirs = at::leaky_relu(
+      at::matmul(x, weight_norm(p[0].value, p[1].value, 0).t()) + p[2].value, kLeakySlope);
+  EXPECT_LT(distance(ours, theirs), 1e-13);
+  const at::Tensor d_y = random_tensor({3, 6}, 4);
+  const std::vector<at::Tensor> inputs = {x, p[0].value, p[1].value, p[2].value};
+  const auto a = gradients_of(ours, d_y, inputs), b = gradients_of(theirs, d_y, inputs);
+  for (size_t i = 0; i < a.size(); ++i) EXPECT_LT(distance(a[i], b[i]), 1e-12) << i;
 }
 
 TEST(Layers, InitialisationByTheReference) {

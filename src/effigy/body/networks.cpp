@@ -27,7 +27,9 @@ constexpr float kSmallestDeviation = 1e-4f;
 at::Tensor copy_of(std::span<const float> values, std::vector<int64_t> shape) {
   at::Tensor tensor = at::empty(shape, at::ScalarType::Float);
   EFFIGY_CHECK_EQ(tensor.numel(), values.size());
-  std::copy(values.begin(), values.end(), tensor.data_ptr<float>());
+  parallel_for(values.size(), 1 << 16, [&](size_t begin, size_t end, int) {
+    std::copy_n(&values[begin], end - begin, tensor.data_ptr<float>() + begin);
+  });
   return tensor;
 }
 

@@ -267,7 +267,8 @@ DenseLayer::DenseLayer(ParameterMaker& make, const std::string& name, int64_t in
 }
 
 at::Tensor DenseLayer::operator()(const at::Tensor& x) const {
-  const at::Tensor y = at::linear(x, weight_norm(v_, g_, 0), bias_);
+  // x W^T with W = g_o V / |V|: scaling the result moves less than scaling V.
+  const at::Tensor y = at::linear(x, v_) * (g_ / v_.norm()) + bias_;
   return slope_ == 1.0 ? y : at::leaky_relu(y, slope_);
 }
 
@@ -320,6 +321,9 @@ at::Tensor resize_picture(const at::Tensor& x, int64_t side) {
 }
 
 at::Tensor gather_pixels(const at::Tensor& picture, const at::Tensor& pixels) {
+  // Ascending: all of them are the picture itself.
+  if (pixels.numel() == picture.size(0) * picture.size(1))
+    return picture.view({pixels.numel(), picture.size(2)});
   return GatherPixels::apply(picture, pixels);
 }
 

@@ -122,8 +122,7 @@ at::Tensor up_convolve(const at::Tensor& x, const at::Tensor& weight, const at::
 at::Tensor convolve_picture(const at::Tensor& x, const at::Tensor& weight, int64_t padding);
 // Bilinear, corners on corners: [h, w, c] -> [side, side, c].
 at::Tensor resize_picture(const at::Tensor& x, int64_t side);
-// The pixels of a picture [h, w, c] in the order of `pixels` (row-major indices, each at most
-// once): [pixels, c].
+// The pixels of a picture [h, w, c] that `pixels` names (ascending row-major indices): [pixels, c].
 at::Tensor gather_pixels(const at::Tensor& picture, const at::Tensor& pixels);
 
 }  // namespace effigy

@@ -51,7 +51,9 @@ HWY_INLINE void tile(const Product<T>& p, size_t row, size_t column, T* c, size_
   for (size_t s = 0; s < p.stretches; ++s) {
     const T* HWY_RESTRICT a = p.a + static_cast<ptrdiff_t>(s) * p.a_step + row * ar;
     const T* HWY_RESTRICT b = p.b + static_cast<ptrdiff_t>(s) * p.b_step + column;
-    for (size_t i = 0; i < p.count; ++i, a += p.ak, b += p.bk) {
+    const size_t ak = p.ak, bk = p.bk, count = p.count;
+#pragma GCC unroll 4
+    for (size_t i = 0; i < count; ++i, a += ak, b += bk) {
       Vec<T> right[kV];
       for (size_t v = 0; v < kV; ++v) right[v] = hn::LoadU(d, b + v * lanes);
       for (size_t r = 0; r < kR; ++r) {
