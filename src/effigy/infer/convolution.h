@@ -1,5 +1,5 @@
-// For infer/, learn/ and body/ only (it brings libtorch's headers along): how libtorch is used: one convolution on whichever of its backends is
-// the fastest here, and its threads.
+// For infer/, learn/ and body/ only (it brings libtorch's headers along): how libtorch is used: one
+// convolution on whichever of its backends is the fastest here, and its threads.
 #pragma once
 
 #include <ATen/core/Tensor.h>
