@@ -10,11 +10,17 @@
 namespace effigy {
 
 // Level k holds, for every direction q, the mean of the radiance under exp(-theta^2 / 2 sigma_k^2),
-// so that constant light gives exactly its value; a lookup interpolates linearly in ln sigma
-// between levels and multiplies by N(sigma) times the lobe's integral. sigma_k = 0.01 2^(k/2).
+// so that constant light gives exactly its value; a lookup interpolates linearly in 1 / sigma^2
+// between levels, which is exact for constant light and at the centre of a small lamp (whose means
+// go with 1 / sigma^2), and multiplies by N(sigma) times the lobe's integral. sigma_k = 0.01
+// 2^(k/2). Against a lamp of one texel a lookup is off by at most 4 % of the lobe's peak where
+// sigma is at least three texels of the light (6 / size); levels narrower than a texel are the
+// light itself.
 class LobeEnvironment {
  public:
   LobeEnvironment() = default;
+  // `radiance`: a side of a power of two from 8 to 1024, read at 256 at most. Takes some three
+  // seconds of processor time for 128. Throws Error for other sizes.
   explicit LobeEnvironment(const Cubemap& radiance);
 
   // Integral of L(w) G(w; q, sigma) dw, for `count` unit directions q (3 planes) and widths, added
