@@ -23,6 +23,8 @@ namespace {
 
 constexpr const char* kPrefix = "networks.";
 constexpr float kSmallestDeviation = 1e-4f;
+// What libtorch still does is small; its threads would wait for those of the large layers.
+constexpr int kTorchThreads = 1;
 
 at::Tensor copy_of(std::span<const float> values, std::vector<int64_t> shape) {
   at::Tensor tensor = at::empty(shape, at::ScalarType::Float);
@@ -159,7 +161,7 @@ void BodyNetworks::set_training(bool training) {
 std::span<const float> BodyNetworks::decode(std::span<const float> body,
                                             std::span<const float> face) {
   State& s = *state_;
-  use_torch_threads(1);
+  use_torch_threads(kTorchThreads);
   const at::AutoGradMode mode(s.training);
   s.visibility = at::Tensor();
   s.seed = s.modules.seed(s.modules.encode(s.keypoints(body, s.body_scale, "body"),
@@ -172,7 +174,7 @@ std::span<const float> BodyNetworks::visibility(std::span<const float> direction
   State& s = *state_;
   EFFIGY_CHECK(s.seed.defined());
   EFFIGY_CHECK_EQ(directions.size(), 3 * s.texels.size());
-  use_torch_threads(1);
+  use_torch_threads(kTorchThreads);
   const at::AutoGradMode mode(s.training);
   at::Tensor view = at::zeros({kSeedSide, kSeedSide, 3}, at::ScalarType::Float);
   float* mean = view.data_ptr<float>();
@@ -186,7 +188,7 @@ std::span<const float> BodyNetworks::visibility(std::span<const float> direction
 std::span<const float> BodyNetworks::shadow(std::span<const float> irradiance) {
   State& s = *state_;
   EFFIGY_CHECK_EQ(irradiance.size(), s.mean_irradiance.size());
-  use_torch_threads(thread_count());
+  use_torch_threads(kTorchThreads);
   const at::AutoGradMode mode(s.training);
   at::Tensor x =
       at::empty({s.settings.shadow_side, s.settings.shadow_side, 1}, at::ScalarType::Float);
@@ -199,7 +201,7 @@ std::span<const float> BodyNetworks::shadow(std::span<const float> irradiance) {
 void BodyNetworks::backward(std::span<const float> d_gaussians, std::span<const float> d_visibility,
                             std::span<const float> d_shadow) {
   State& s = *state_;
-  use_torch_threads(d_shadow.empty() ? 1 : thread_count());
+  use_torch_threads(kTorchThreads);
   std::vector<at::Tensor> results, gradients;
   const auto add = [&](const at::Tensor& result, std::span<const float> gradient) {
     if (gradient.empty()) return;

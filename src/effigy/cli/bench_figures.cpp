@@ -8,9 +8,9 @@ namespace effigy {
 
 void print_figures(const std::vector<BenchResult>& figures, bool json) {
   if (!json) {
-    std::printf("%-40s %12s %12s %12s %8s\n", "", "median", "min", "max", "threads");
+    std::printf("%-48s %12s %12s %12s %8s\n", "", "median", "min", "max", "threads");
     for (const BenchResult& f : figures)
-      std::printf("%-40s %12.3f %12.3f %12.3f %8d\n", f.name.c_str(), f.median, f.min, f.max,
+      std::printf("%-48s %12.3f %12.3f %12.3f %8d\n", f.name.c_str(), f.median, f.min, f.max,
                   f.threads);
     return;
   }
