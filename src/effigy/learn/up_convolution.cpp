@@ -116,12 +116,12 @@ HWY_INLINE void leaky(const T* x, const T* bias, T* y, size_t n, T slope) {
   const Tag<T> d;
   const size_t lanes = hn::Lanes(d);
   const Vec<T> k = hn::Set(d, slope), zero = hn::Zero(d);
-  size_t i = 0;
-  for (; i + lanes <= n; i += lanes) {
+  const size_t whole = n - n % lanes;
+  for (size_t i = 0; i < whole; i += lanes) {
     const Vec<T> sum = hn::Add(hn::LoadU(d, x + i), hn::LoadU(d, bias + i));
     hn::StoreU(hn::MulAdd(k, hn::Min(sum, zero), hn::Max(sum, zero)), d, y + i);
   }
-  for (; i < n; ++i) {
+  for (size_t i = whole; i < n; ++i) {
     const T sum = x[i] + bias[i];
     y[i] = std::max(sum, T(0)) + slope * std::min(sum, T(0));
   }
@@ -133,14 +133,14 @@ HWY_INLINE void leaky_backward(const T* y, const T* d_y, T* d_x, T* d_bias, size
   const Tag<T> d;
   const size_t lanes = hn::Lanes(d);
   const Vec<T> k = hn::Set(d, slope), zero = hn::Zero(d);
-  size_t i = 0;
-  for (; i + lanes <= n; i += lanes) {
+  const size_t whole = n - n % lanes;
+  for (size_t i = 0; i < whole; i += lanes) {
     const Vec<T> up = hn::LoadU(d, d_y + i);
     const Vec<T> down = hn::IfThenElse(hn::Gt(hn::LoadU(d, y + i), zero), up, hn::Mul(k, up));
     hn::StoreU(down, d, d_x + i);
     if (d_bias) hn::StoreU(down, d, d_bias + i);
   }
-  for (; i < n; ++i) {
+  for (size_t i = whole; i < n; ++i) {
     d_x[i] = y[i] > T(0) ? d_y[i] : slope * d_y[i];
     if (d_bias) d_bias[i] = d_x[i];
   }
