@@ -26,7 +26,7 @@ constexpr float kSmallestDeviation = 1e-4f;
 // What libtorch still does is small; its threads would wait for those of the large layers.
 constexpr int kTorchThreads = 1;
 
-at::Tensor copy_of(std::span<const float> values, std::vector<int64_t> shape) {
+at::Tensor copy_of(std::span<const float> values, const std::vector<int64_t>& shape) {
   at::Tensor tensor = at::empty(shape, at::ScalarType::Float);
   EFFIGY_CHECK_EQ(tensor.numel(), values.size());
   parallel_for(values.size(), 1 << 16, [&](size_t begin, size_t end, int) {
@@ -99,7 +99,8 @@ struct BodyNetworks::State {
     check_texels(texels, settings.texture(), name);
     body_scale.mean.resize(3 * static_cast<size_t>(settings.body_keypoints));
     face_scale.mean.resize(3 * static_cast<size_t>(settings.face_keypoints));
-    mean_irradiance.resize(static_cast<size_t>(settings.shadow_side * settings.shadow_side));
+    mean_irradiance.resize(static_cast<size_t>(settings.shadow_side) *
+                           static_cast<size_t>(settings.shadow_side));
     pixels = at::empty({static_cast<int64_t>(texels.size())}, at::ScalarType::Long);
     std::copy(texels.begin(), texels.end(), pixels.data_ptr<int64_t>());
     const int side = settings.texture(), texels_per_cell = side / kSeedSide;
