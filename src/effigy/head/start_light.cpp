@@ -2,13 +2,14 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numbers>
 
 #include "effigy/base/error.h"
+#include "effigy/light/cubemap_layout.h"
 
 namespace effigy {
 namespace {
 
-constexpr int kBins = 16;         // of normals and of light: texels a side of a cubemap's face
 constexpr int kRounds = 30;       // of light and albedo in turns
 constexpr int kSteps = 4;         // of the light, each round
 constexpr double kFree = 0.35;    // log albedo off the median that counts half as albedo
@@ -17,66 +18,24 @@ constexpr double kHold = 0.001;   // weight of "as bright as the mean" against a
 constexpr float kDark = 0.004f;   // radiance relative to the median below which nothing is told
 
 using Rgb = std::array<double, 3>;
-constexpr size_t kTexels = size_t{6} * kBins * kBins;
-
-// Cosine lobes: the share of direction j's radiance in normal i's irradiance / pi. Rows sum to 1.
-std::vector<float> lobes() {
-  std::vector<Vec3f> direction(kTexels);
-  std::vector<double> solid(kTexels);
-  for (size_t i = 0; i < kTexels; ++i) {
-    const int face = static_cast<int>(i / (kBins * kBins)), y = static_cast<int>(i / kBins % kBins),
-              x = static_cast<int>(i % kBins);
-    direction[i] = cubemap_direction(face, x, y, kBins);
-    solid[i] = cubemap_solid_angle(x, y, kBins);
-  }
-  std::vector<float> rows(kTexels * kTexels);
-  for (size_t i = 0; i < kTexels; ++i) {
-    float* row = &rows[i * kTexels];
-    double sum = 0;
-    for (size_t j = 0; j < kTexels; ++j) {
-      row[j] = static_cast<float>(solid[j] * std::max(0.0f, direction[i].dot(direction[j])));
-      sum += row[j];
-    }
-    for (size_t j = 0; j < kTexels; ++j) row[j] = static_cast<float>(row[j] / sum);
-  }
-  return rows;
-}
-
-// The texel of a kBins cubemap that a direction falls into.
-size_t bin_of(const Vec3f& d) {
-  const Vec3f a = d.cwiseAbs();
-  int face;
-  float u, v, most;
-  if (a.x() >= a.y() && a.x() >= a.z()) {
-    face = d.x() > 0 ? 0 : 1, most = a.x(), u = d.x() > 0 ? -d.z() : d.z(), v = -d.y();
-  } else if (a.y() >= a.z()) {
-    face = d.y() > 0 ? 2 : 3, most = a.y(), u = d.x(), v = d.y() > 0 ? d.z() : -d.z();
-  } else {
-    face = d.z() > 0 ? 4 : 5, most = a.z(), u = d.z() > 0 ? d.x() : -d.x(), v = -d.y();
-  }
-  const auto cell = [most](float t) {
-    return static_cast<size_t>(
-        std::clamp(static_cast<int>((t / most + 1) * (0.5f * kBins)), 0, kBins - 1));
-  };
-  return static_cast<size_t>(face) * kBins * kBins + cell(v) * kBins + cell(u);
-}
 
 struct Fit {
-  std::vector<float> rows = lobes();
-  std::vector<size_t> bin;                              // of each sample
-  std::vector<Rgb> light = {kTexels, Rgb{1, 1, 1}};     // radiance
-  std::vector<Rgb> response = {kTexels, Rgb{1, 1, 1}};  // irradiance / pi by normal
-  std::vector<Rgb> log_albedo;                          // of each patch
-
-  void respond() {
-    for (size_t i = 0; i < kTexels; ++i) {
-      Rgb sum{0, 0, 0};
-      const float* row = &rows[i * kTexels];
-      for (size_t j = 0; j < kTexels; ++j)
-        for (size_t c = 0; c < 3; ++c) sum[c] += row[j] * light[j][c];
-      response[i] = sum;
-    }
+  explicit Fit(int size) : prefilter(size), light(size, 1.0f), response(diffuse_response(light)) {}
+  // The response's texel, three values on, that a normal falls into.
+  size_t bin_of(const Vec3f& normal) const {
+    const CubePoint at = cube_point(normal.cast<double>());
+    const int n = response.size;
+    const auto cell = [n](double t) {
+      return std::clamp(static_cast<int>((t + 1) * 0.5 * n), 0, n - 1);
+    };
+    return 3 * ((static_cast<size_t>(at.face) * n + cell(at.t)) * n + cell(at.s));
   }
+
+  Prefilter prefilter;
+  Cubemap light;                // radiance
+  Cubemap response;             // irradiance / pi by normal
+  std::vector<size_t> bin;      // of each sample
+  std::vector<Rgb> log_albedo;  // of each patch
 };
 
 double median(std::vector<double>& values) {
@@ -96,7 +55,7 @@ void fit_albedo(const std::vector<SurfaceSample>& samples, Fit& fit) {
     ++count[patch];
     for (size_t c = 0; c < 3; ++c)
       fit.log_albedo[patch][c] +=
-          std::log(samples[s].radiance[c]) - std::log(fit.response[fit.bin[s]][c]);
+          std::log(samples[s].radiance[c]) - std::log(fit.response.texels[fit.bin[s] + c]);
   }
   Rgb middle;
   for (size_t c = 0; c < 3; ++c) {
@@ -117,52 +76,47 @@ void fit_albedo(const std::vector<SurfaceSample>& samples, Fit& fit) {
 // Multiplicative least squares of radiance = albedo * response (Lee and Seung 2001): stays positive
 // and moves only what the samples see.
 void fit_light(const std::vector<SurfaceSample>& samples, Fit& fit) {
-  std::vector<Rgb> seen(kTexels, Rgb{0, 0, 0}), told(kTexels, Rgb{0, 0, 0});
+  PrefilteredEnvironment told = fit.prefilter.zero_like(), expected = fit.prefilter.zero_like();
+  std::vector<float> seen(fit.response.texels.size(), 0.0f);
   for (size_t s = 0; s < samples.size(); ++s) {
-    const size_t bin = fit.bin[s];
     const Rgb& log_albedo = fit.log_albedo[static_cast<size_t>(samples[s].patch)];
     for (size_t c = 0; c < 3; ++c) {
+      const size_t at = fit.bin[s] + c;
       const double told_here = samples[s].radiance[c] / std::exp(log_albedo[c]);
-      const double off = std::log(told_here / fit.response[bin][c]) / kOutlier;
+      const double off = std::log(told_here / fit.response.texels[at]) / kOutlier;
       const double weight = 1 / (1 + off * off);
-      seen[bin][c] += weight;
-      told[bin][c] += weight * told_here;
+      seen[at] += static_cast<float>(weight);
+      told.diffuse.texels[at] += static_cast<float>(weight * told_here);
     }
   }
-  const double hold = kHold * static_cast<double>(samples.size()) / kTexels;
+  std::vector<float>& light = fit.light.texels;
+  const auto hold =
+      static_cast<float>(3 * kHold * static_cast<double>(samples.size()) / light.size());
+  Cubemap up(fit.light.size, hold);
+  fit.prefilter.backward(told, up);
   for (int step = 0; step < kSteps; ++step) {
-    std::vector<Rgb> up(kTexels, Rgb{hold, hold, hold}), down(kTexels);
-    for (size_t j = 0; j < kTexels; ++j)
-      for (size_t c = 0; c < 3; ++c) down[j][c] = hold * fit.light[j][c];
-    for (size_t i = 0; i < kTexels; ++i) {
-      if (seen[i][0] + seen[i][1] + seen[i][2] <= 0) continue;
-      const float* row = &fit.rows[i * kTexels];
-      Rgb expected;
-      for (size_t c = 0; c < 3; ++c) expected[c] = seen[i][c] * fit.response[i][c];
-      for (size_t j = 0; j < kTexels; ++j)
-        for (size_t c = 0; c < 3; ++c) {
-          up[j][c] += row[j] * told[i][c];
-          down[j][c] += row[j] * expected[c];
-        }
-    }
-    for (size_t j = 0; j < kTexels; ++j)
-      for (size_t c = 0; c < 3; ++c) fit.light[j][c] *= up[j][c] / down[j][c];
-    fit.respond();
+    for (size_t i = 0; i < seen.size(); ++i)
+      expected.diffuse.texels[i] = seen[i] * fit.response.texels[i];
+    Cubemap down = fit.light;
+    for (float& value : down.texels) value *= hold;
+    fit.prefilter.backward(expected, down);
+    for (size_t i = 0; i < light.size(); ++i) light[i] *= up.texels[i] / down.texels[i];
+    fit.response = fit.prefilter.forward(fit.light).diffuse;
   }
 }
 
 void make_mean_one(Fit& fit) {
   Rgb mean{0, 0, 0};
-  double all = 0;
-  for (size_t j = 0; j < kTexels; ++j) {
-    const double solid = cubemap_solid_angle(static_cast<int>(j % kBins),
-                                             static_cast<int>(j / kBins % kBins), kBins);
-    for (size_t c = 0; c < 3; ++c) mean[c] += solid * fit.light[j][c];
-    all += solid;
-  }
-  for (auto* values : {&fit.light, &fit.response})
-    for (Rgb& value : *values)
-      for (size_t c = 0; c < 3; ++c) value[c] *= all / mean[c];
+  const int n = fit.light.size;
+  for (int face = 0, i = 0; face < 6; ++face)
+    for (int y = 0; y < n; ++y)
+      for (int x = 0; x < n; ++x, i += 3)
+        for (int c = 0; c < 3; ++c)
+          mean[c] += cubemap_solid_angle(x, y, n) / (4 * std::numbers::pi) *
+                     fit.light.texels[static_cast<size_t>(i + c)];
+  for (Cubemap* map : {&fit.light, &fit.response})
+    for (size_t i = 0; i < map->texels.size(); ++i)
+      map->texels[i] /= static_cast<float>(mean[i % 3]);
 }
 
 // Without those that are too dark to tell of the light in every channel.
@@ -183,28 +137,19 @@ Cubemap start_light(const std::vector<SurfaceSample>& all_samples, int patches, 
   if (all_samples.empty()) return Cubemap(size, 1.0f);
   const std::vector<SurfaceSample> samples = bright_enough(all_samples);
   if (samples.empty()) return Cubemap(size, 1.0f);
-  Fit fit;
+  Fit fit(size);
   fit.log_albedo.resize(static_cast<size_t>(patches));
   fit.bin.reserve(samples.size());
   for (const SurfaceSample& s : samples) {
     EFFIGY_CHECK(s.patch >= 0 && s.patch < patches);
-    fit.bin.push_back(bin_of(s.normal));
+    fit.bin.push_back(fit.bin_of(s.normal));
   }
   for (int round = 0; round < kRounds; ++round) {
     fit_albedo(samples, fit);
     fit_light(samples, fit);
     make_mean_one(fit);
   }
-  Cubemap coarse(kBins), light(size);
-  for (size_t j = 0; j < kTexels; ++j)
-    for (size_t c = 0; c < 3; ++c) coarse.texels[3 * j + c] = static_cast<float>(fit.light[j][c]);
-  for (int face = 0, i = 0; face < 6; ++face)
-    for (int y = 0; y < size; ++y)
-      for (int x = 0; x < size; ++x, i += 3) {
-        const Vec3f value = sample_cubemap(coarse, cubemap_direction(face, x, y, size));
-        std::copy_n(value.data(), 3, &light.texels[static_cast<size_t>(i)]);
-      }
-  return light;
+  return fit.light;
 }
 
 Cubemap diffuse_response(const Cubemap& light) {
