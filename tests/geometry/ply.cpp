@@ -10,19 +10,13 @@
 
 #include "effigy/base/error.h"
 #include "effigy/base/random.h"
+#include "support.h"
 
 namespace effigy {
 namespace {
 
 class Ply : public testing::Test {
  protected:
-  void SetUp() override {
-    std::string pattern = (std::filesystem::temp_directory_path() / "effigy-XXXXXX").string();
-    folder = mkdtemp(pattern.data());
-    file = folder / "a.ply";
-  }
-  void TearDown() override { std::filesystem::remove_all(folder); }
-
   PlyVertices read(const std::string& text) {
     write_text(file, text);
     return read_ply_vertices(file);
@@ -38,7 +32,8 @@ class Ply : public testing::Test {
         << "expected '" << about << "' in: " << sentence;
     EXPECT_NE(sentence.find("a.ply"), std::string::npos) << sentence;
   }
-  Path folder, file;
+  const test::ScratchFolder folder;
+  const Path file = folder / "a.ply";
 };
 
 const char kAscii[] =

@@ -9,19 +9,15 @@
 #include "effigy/base/error.h"
 #include "effigy/base/random.h"
 #include "effigy/geometry/ply.h"
+#include "support.h"
 
 namespace effigy {
 namespace {
 
 class GaussianPly : public testing::Test {
  protected:
-  void SetUp() override {
-    std::string pattern = (std::filesystem::temp_directory_path() / "effigy-XXXXXX").string();
-    folder = mkdtemp(pattern.data());
-    file = folder / "a.ply";
-  }
-  void TearDown() override { std::filesystem::remove_all(folder); }
-  Path folder, file;
+  const test::ScratchFolder folder;
+  const Path file = folder / "a.ply";
 };
 
 GaussianModel random_model(int degree, size_t count, uint64_t seed) {

@@ -4,9 +4,6 @@
 
 #include <gtest/gtest.h>
 
-#include <chrono>
-#include <cstdio>
-
 #include "effigy/base/error.h"
 #include "effigy/base/threads.h"
 #include "effigy/splat/gaussian_kernels.h"
@@ -51,13 +48,6 @@ Gradients go_back(const GaussianScene3d& scene, const Drawn& drawn, const Planes
   render_gaussians_backward(scene.camera, scene.gaussians.view(), scene.options, drawn.image,
                             drawn.frame, upstream, g.spans());
   return g;
-}
-
-Planes random_upstream(const GaussianScene3d& scene, uint64_t seed) {
-  Planes planes(scene.camera.width, scene.camera.height, 1 + scene.gaussians.channels);
-  Random random(seed, 17);
-  for (float& x : planes.data) x = static_cast<float>(random.normal());
-  return planes;
 }
 
 gaussian_oracle::Scene oracle_scene(const GaussianScene3d& scene) {
@@ -155,7 +145,7 @@ double relative_error(const std::vector<double>& expected, const std::vector<flo
 
 TEST_P(GaussianTest, GradientAgreesWithFiniteDifferences) {
   const GaussianScene3d scene = GetParam().make();
-  const Planes upstream = random_upstream(scene, 3);
+  const Planes upstream = random_upstream(scene.camera, 1 + scene.gaussians.channels, 3);
   Differences differences(scene, upstream);
   using S = gaussian_oracle::Scene;
   struct Row {
@@ -191,51 +181,18 @@ TEST_P(GaussianTest, GradientAgreesWithFiniteDifferences) {
 INSTANTIATE_TEST_SUITE_P(Scenes, GaussianTest, testing::ValuesIn(kGaussianCases),
                          [](const auto& tested) { return std::string(tested.param.name); });
 
-// The third mode. The bound is far below what the vector units give, so that a busy machine passes.
 TEST(GaussianSpeed, TheBestKernelsAreSeveralTimesFasterThanOneLane) {
   const GaussianScene3d scene = gaussian_soup(192, 192, 900, 5, 0.3, 3, 21);
-  const Planes upstream = random_upstream(scene, 4);
-  struct Speed {
-    double forward = 1e9, backward = 1e9;
-  };
-  const auto measure = [&](int64_t target) {
-    const UseTarget use(target);
-    Speed best;
-    int64_t pairs = 1;
-    for (int k = 0; k < 3; ++k) {
-      const auto start = std::chrono::steady_clock::now();
-      const Drawn drawn = draw(scene);
-      const auto middle = std::chrono::steady_clock::now();
-      go_back(scene, drawn, upstream);
-      const auto stop = std::chrono::steady_clock::now();
-      pairs = drawn.frame.pairs();
-      const std::chrono::duration<double, std::nano> forward = middle - start;
-      const std::chrono::duration<double, std::nano> backward = stop - middle;
-      best.forward = std::min(best.forward, forward.count() / static_cast<double>(pairs));
-      best.backward = std::min(best.backward, backward.count() / static_cast<double>(pairs));
-    }
-    std::printf("%-9s forward %6.2f, backward %6.2f ns per pair (%lld pairs)\n",
-                target_name(target).c_str(), best.forward, best.backward,
-                static_cast<long long>(pairs));
-    return best;
-  };
-  const std::vector<int64_t> targets = gaussian_kernel_targets();
-  const Speed one_lane = measure(0);
-  Speed best;
-  for (const int64_t target : targets) {
-    const Speed speed = measure(target);
-    best.forward = std::min(best.forward, speed.forward);
-    best.backward = std::min(best.backward, speed.backward);
-  }
-  if (targets.size() < 2) GTEST_SKIP() << "this machine has no vector unit that is compiled in";
-  EXPECT_LT(best.forward, one_lane.forward / 1.5);
-  EXPECT_LT(best.backward, one_lane.backward / 1.5);
+  const Planes upstream = random_upstream(scene.camera, 1 + scene.gaussians.channels, 4);
+  expect_faster_than_one_lane(
+      gaussian_kernel_targets(), [&] { return draw(scene); },
+      [&](const Drawn& drawn) { go_back(scene, drawn, upstream); });
 }
 
 // More Gaussians than a slot of the parallel sort and of the parallel binning takes.
 TEST(GaussianRaster, AnyNumberOfThreadsGivesTheSameBits) {
   const GaussianScene3d scene = gaussian_soup(200, 130, 20000, 1.5, 0.4, 3, 31);
-  const Planes upstream = random_upstream(scene, 5);
+  const Planes upstream = random_upstream(scene.camera, 1 + scene.gaussians.channels, 5);
   const int before = thread_count();
   set_thread_count(1);
   const Drawn one = draw(scene);
@@ -255,7 +212,7 @@ TEST(GaussianRaster, AnyNumberOfThreadsGivesTheSameBits) {
 
 TEST(GaussianRaster, BackwardAddsToWhatIsThere) {
   const GaussianScene3d scene = plain_gaussians();
-  const Planes upstream = random_upstream(scene, 6);
+  const Planes upstream = random_upstream(scene.camera, 1 + scene.gaussians.channels, 6);
   const Drawn drawn = draw(scene);
   const Gradients alone = go_back(scene, drawn, upstream);
   Gradients sum;
@@ -277,7 +234,7 @@ TEST(GaussianRaster, AFrameCanBeUsedAgainForOtherScenes) {
   for (const auto make : {plain_gaussians, no_gaussians, huge_gaussians, ten_channels,
                           stacked_gaussians, plain_gaussians}) {
     const GaussianScene3d scene = make();
-    const Planes upstream = random_upstream(scene, 7);
+    const Planes upstream = random_upstream(scene.camera, 1 + scene.gaussians.channels, 7);
     const Drawn fresh = draw(scene);
     render_gaussians(scene.camera, scene.gaussians.view(), scene.options, reused.image,
                      reused.frame);

@@ -5,8 +5,6 @@
 #include <gtest/gtest.h>
 
 #include <bit>
-#include <chrono>
-#include <cstdio>
 
 #include "effigy/base/error.h"
 #include "effigy/base/threads.h"
@@ -48,13 +46,6 @@ Gradients go_back(const RandomScene& scene, const Drawn& drawn, const Planes& up
   render_surfels_backward(scene.camera, scene.surfels, scene.texture, scene.options, drawn.gbuffer,
                           drawn.frame, upstream, g.surfels, g.texels);
   return g;
-}
-
-Planes random_upstream(const RandomScene& scene, uint64_t seed) {
-  Planes planes(scene.camera.width, scene.camera.height, kGBufferPlanes);
-  Random random(seed, 17);
-  for (float& x : planes.data) x = static_cast<float>(random.normal());
-  return planes;
 }
 
 oracle::Scene oracle_scene(const RandomScene& scene) {
@@ -170,7 +161,7 @@ double relative_error(const std::vector<double>& expected, const std::vector<flo
 
 TEST_P(SurfelKernelTest, GradientAgreesWithFiniteDifferences) {
   const RandomScene scene = GetParam().make();
-  const Planes upstream = random_upstream(scene, 3);
+  const Planes upstream = random_upstream(scene.camera, kGBufferPlanes, 3);
   Differences differences(scene, upstream);
   const size_t n = scene.surfels.count();
   struct Row {
@@ -209,47 +200,14 @@ TEST_P(SurfelKernelTest, GradientAgreesWithFiniteDifferences) {
 INSTANTIATE_TEST_SUITE_P(Scenes, SurfelKernelTest, testing::ValuesIn(kSceneCases),
                          [](const auto& tested) { return std::string(tested.param.name); });
 
-// The third mode. The bound is far below what the vector units give, so that a busy machine passes.
 TEST(SurfelKernelSpeed, TheBestKernelsAreSeveralTimesFasterThanOneLane) {
   RandomScene scene = soup(192, 192, 700, 5, 0.3, 21);
   Random random(5);
   scene.texture = random_texture(256, 256, random);
-  const Planes upstream = random_upstream(scene, 4);
-  struct Speed {
-    double forward = 1e9, backward = 1e9;
-  };
-  const auto measure = [&](int64_t target) {
-    const UseTarget use(target);
-    Speed best;
-    int64_t pairs = 1;
-    for (int k = 0; k < 3; ++k) {
-      const auto start = std::chrono::steady_clock::now();
-      const Drawn drawn = draw(scene);
-      const auto middle = std::chrono::steady_clock::now();
-      go_back(scene, drawn, upstream);
-      const auto stop = std::chrono::steady_clock::now();
-      pairs = drawn.frame.pairs();
-      const std::chrono::duration<double, std::nano> forward = middle - start;
-      const std::chrono::duration<double, std::nano> backward = stop - middle;
-      best.forward = std::min(best.forward, forward.count() / static_cast<double>(pairs));
-      best.backward = std::min(best.backward, backward.count() / static_cast<double>(pairs));
-    }
-    std::printf("%-9s forward %6.2f, backward %6.2f ns per pair (%lld pairs)\n",
-                target_name(target).c_str(), best.forward, best.backward,
-                static_cast<long long>(pairs));
-    return best;
-  };
-  const std::vector<int64_t> targets = surfel_kernel_targets();
-  const Speed one_lane = measure(0);
-  Speed best;
-  for (const int64_t target : targets) {
-    const Speed speed = measure(target);
-    best.forward = std::min(best.forward, speed.forward);
-    best.backward = std::min(best.backward, speed.backward);
-  }
-  if (targets.size() < 2) GTEST_SKIP() << "this machine has no vector unit that is compiled in";
-  EXPECT_LT(best.forward, one_lane.forward / 1.5);
-  EXPECT_LT(best.backward, one_lane.backward / 1.5);
+  const Planes upstream = random_upstream(scene.camera, kGBufferPlanes, 4);
+  expect_faster_than_one_lane(
+      surfel_kernel_targets(), [&] { return draw(scene); },
+      [&](const Drawn& drawn) { go_back(scene, drawn, upstream); });
 }
 
 TEST(SurfelRaster, ForwardIsTheSameForEveryThreadCount) {
@@ -266,7 +224,7 @@ TEST(SurfelRaster, ForwardIsTheSameForEveryThreadCount) {
 
 TEST(SurfelRaster, BackwardRepeatsBitForBitAndAgreesAcrossThreadCounts) {
   const RandomScene scene = soup(90, 70, 120, 6, 0.2, 32);
-  const Planes upstream = random_upstream(scene, 5);
+  const Planes upstream = random_upstream(scene.camera, kGBufferPlanes, 5);
   const int before = thread_count();
   set_thread_count(1);
   const Gradients one = go_back(scene, draw(scene), upstream);
@@ -287,7 +245,7 @@ TEST(SurfelRaster, BackwardRepeatsBitForBitAndAgreesAcrossThreadCounts) {
 
 TEST(SurfelRaster, BackwardAddsToWhatIsThere) {
   const RandomScene scene = plain_scene();
-  const Planes upstream = random_upstream(scene, 6);
+  const Planes upstream = random_upstream(scene.camera, kGBufferPlanes, 6);
   const Drawn drawn = draw(scene);
   const Gradients alone = go_back(scene, drawn, upstream);
   Gradients sum;
@@ -307,7 +265,7 @@ TEST(SurfelRaster, AFrameCanBeUsedAgainForOtherScenes) {
   Drawn reused;
   for (const auto make : {plain_scene, empty_scene, huge_scene, stacked_scene, plain_scene}) {
     const RandomScene scene = make();
-    const Planes upstream = random_upstream(scene, 7);
+    const Planes upstream = random_upstream(scene.camera, kGBufferPlanes, 7);
     const Drawn fresh = draw(scene);
     render_surfels(scene.camera, scene.surfels, scene.texture, scene.options, reused.gbuffer,
                    reused.frame);

@@ -11,6 +11,7 @@
 #include "effigy/splat/gaussian_scene_file.h"
 #include "effigy/splat/scene_file.h"
 #include "splat/oracle.h"
+#include "support.h"
 
 namespace effigy {
 namespace {
@@ -21,19 +22,6 @@ std::vector<float> read_raw(const Path& file) {
   std::memcpy(values.data(), bytes.data(), values.size() * sizeof(float));
   return values;
 }
-
-class TemporaryFolder {
- public:
-  TemporaryFolder() {
-    std::string pattern = (std::filesystem::temp_directory_path() / "effigy-XXXXXX").string();
-    path_ = mkdtemp(pattern.data());
-  }
-  ~TemporaryFolder() { std::filesystem::remove_all(path_); }
-  const Path& path() const { return path_; }
-
- private:
-  Path path_;
-};
 
 // 99.9th percentile of the error over the largest expected value.
 double output_error(const std::vector<float>& expected, const std::vector<float>& actual) {
@@ -96,95 +84,87 @@ int leave_out_crossed_steps(const SplatScene& scene, const std::string& name,
   return left_out;
 }
 
-TEST(SplatScenes, AgreeWithTheirAnswers) {
-  const char* root = std::getenv("EFFIGY_SCENES");
-  if (!root) GTEST_SKIP() << "EFFIGY_SCENES is not set: no scenes with known answers";
+// Draws every scene of a kind: write_answers(folder, out) writes into `out` what stands in the
+// scene's `expected`, which is compared; leave_out(folder, name, actual, expected) may set values
+// of a gradient to NaN that finite differences cannot tell, and says of how many.
+template <typename WriteAnswers, typename LeaveOut>
+void expect_answers(SplatSceneKind kind, int least_files, const WriteAnswers& write_answers,
+                    const LeaveOut& leave_out) {
+  const Path root = test::outside_data("EFFIGY_SCENES");
+  if (root.empty()) GTEST_SKIP() << "EFFIGY_SCENES is not set: no scenes with known answers";
   int scenes = 0;
   for (const auto& entry : std::filesystem::directory_iterator(root)) {
     const Path folder = entry.path();
     if (!std::filesystem::exists(folder / "scene.json")) continue;
-    if (splat_scene_kind(folder) != SplatSceneKind::kSurfels) continue;
+    if (splat_scene_kind(folder) != kind) continue;
     SCOPED_TRACE(folder.string());
     ++scenes;
-    const SplatScene scene = read_splat_scene(folder);
-    const SurfelRasterOptions options = splat_scene_options();
-    TemporaryFolder out;
-    Planes gbuffer;
-    SurfelFrame frame;
-    render_surfels(scene.camera, scene.surfels, scene.texture, options, gbuffer, frame);
-    write_splat_outputs(out.path(), gbuffer);
-    if (std::filesystem::exists(folder / "upstream_alpha.f32")) {
-      const Planes upstream = read_splat_upstream(folder, scene.camera);
-      PosedSurfels d_surfels;
-      d_surfels.resize(scene.surfels.count());
-      std::vector<float> d_texels(scene.texture.texels.size());
-      render_surfels_backward(scene.camera, scene.surfels, scene.texture, options, gbuffer, frame,
-                              upstream, d_surfels, d_texels);
-      write_splat_gradients(out.path(), d_surfels, d_texels);
-    }
+    const test::ScratchFolder out;
+    write_answers(folder, out.path());
     int files = 0;
     for (const auto& answer : std::filesystem::directory_iterator(folder / "expected")) {
       const std::string name = answer.path().filename().string();
       std::vector<float> expected = read_raw(answer.path());
-      const std::vector<float> actual = read_raw(out.path() / name);
+      const std::vector<float> actual = read_raw(out / name);
       ASSERT_EQ(expected.size(), actual.size()) << name;
       ++files;
       const bool gradient = name.rfind("grad_", 0) == 0;
-      const int crossed = gradient ? leave_out_crossed_steps(scene, name, actual, expected) : 0;
-      EXPECT_LE(crossed, 2) << name;
+      if (gradient) {
+        EXPECT_LE(leave_out(folder, name, actual, expected), 2) << name;
+      }
       const double error =
           gradient ? gradient_error(expected, actual) : output_error(expected, actual);
       if (std::getenv("EFFIGY_VERBOSE"))
         std::cerr << folder.filename().string() << " " << name << " " << error << "\n";
       EXPECT_LE(error, 2e-3) << name;
     }
-    EXPECT_GE(files, 7);
+    EXPECT_GE(files, least_files);
   }
-  EXPECT_GT(scenes, 0) << "no surfel scenes in " << root;
+  EXPECT_GT(scenes, 0) << "no scenes of this kind in " << root;
+}
+
+TEST(SplatScenes, AgreeWithTheirAnswers) {
+  const auto write_answers = [](const Path& folder, const Path& out) {
+    const SplatScene scene = read_splat_scene(folder);
+    const SurfelRasterOptions options = splat_scene_options();
+    Planes gbuffer;
+    SurfelFrame frame;
+    render_surfels(scene.camera, scene.surfels, scene.texture, options, gbuffer, frame);
+    write_splat_outputs(out, gbuffer);
+    if (!std::filesystem::exists(folder / "upstream_alpha.f32")) return;
+    PosedSurfels d_surfels;
+    d_surfels.resize(scene.surfels.count());
+    std::vector<float> d_texels(scene.texture.texels.size());
+    render_surfels_backward(scene.camera, scene.surfels, scene.texture, options, gbuffer, frame,
+                            read_splat_upstream(folder, scene.camera), d_surfels, d_texels);
+    write_splat_gradients(out, d_surfels, d_texels);
+  };
+  const auto leave_out = [](const Path& folder, const std::string& name,
+                            const std::vector<float>& actual, std::vector<float>& expected) {
+    return leave_out_crossed_steps(read_splat_scene(folder), name, actual, expected);
+  };
+  expect_answers(SplatSceneKind::kSurfels, 7, write_answers, leave_out);
 }
 
 TEST(GaussianScenes, AgreeWithTheirAnswers) {
-  const char* root = std::getenv("EFFIGY_SCENES");
-  if (!root) GTEST_SKIP() << "EFFIGY_SCENES is not set: no scenes with known answers";
-  int scenes = 0;
-  for (const auto& entry : std::filesystem::directory_iterator(root)) {
-    const Path folder = entry.path();
-    if (!std::filesystem::exists(folder / "scene.json")) continue;
-    if (splat_scene_kind(folder) != SplatSceneKind::kGaussians) continue;
-    SCOPED_TRACE(folder.string());
-    ++scenes;
+  const auto write_answers = [](const Path& folder, const Path& out) {
     const GaussianScene scene = read_gaussian_scene(folder);
-    TemporaryFolder out;
     Planes image;
     GaussianFrame frame;
     render_gaussians(scene.camera, scene.gaussians.view(), {}, image, frame);
-    write_gaussian_outputs(out.path(), image);
-    if (std::filesystem::exists(folder / "upstream_alpha.f32")) {
-      Gaussians d;
-      d.channels = scene.gaussians.channels;
-      d.resize(scene.gaussians.count());
-      render_gaussians_backward(scene.camera, scene.gaussians.view(), {}, image, frame,
-                                read_gaussian_upstream(folder, scene),
-                                {d.center, d.rotation, d.scale, d.opacity, d.features, {}});
-      write_gaussian_gradients(out.path(), d);
-    }
-    int files = 0;
-    for (const auto& answer : std::filesystem::directory_iterator(folder / "expected")) {
-      const std::string name = answer.path().filename().string();
-      const std::vector<float> expected = read_raw(answer.path());
-      const std::vector<float> actual = read_raw(out.path() / name);
-      ASSERT_EQ(expected.size(), actual.size()) << name;
-      ++files;
-      const bool gradient = name.rfind("grad_", 0) == 0;
-      const double error =
-          gradient ? gradient_error(expected, actual) : output_error(expected, actual);
-      if (std::getenv("EFFIGY_VERBOSE"))
-        std::cerr << folder.filename().string() << " " << name << " " << error << "\n";
-      EXPECT_LE(error, 2e-3) << name;
-    }
-    EXPECT_GE(files, 2);
-  }
-  EXPECT_GT(scenes, 0) << "no Gaussian scenes in " << root;
+    write_gaussian_outputs(out, image);
+    if (!std::filesystem::exists(folder / "upstream_alpha.f32")) return;
+    Gaussians d;
+    d.channels = scene.gaussians.channels;
+    d.resize(scene.gaussians.count());
+    render_gaussians_backward(scene.camera, scene.gaussians.view(), {}, image, frame,
+                              read_gaussian_upstream(folder, scene),
+                              {d.center, d.rotation, d.scale, d.opacity, d.features, {}});
+    write_gaussian_gradients(out, d);
+  };
+  const auto nothing = [](const Path&, const std::string&, const std::vector<float>&,
+                          std::vector<float>&) { return 0; };
+  expect_answers(SplatSceneKind::kGaussians, 2, write_answers, nothing);
 }
 
 }  // namespace

@@ -12,8 +12,6 @@
 namespace effigy {
 namespace {
 
-constexpr int kFormatVersion = 1;
-
 CaptureFrame frame_from_json(const Json& json, const Path& file) {
   CaptureFrame frame;
   frame.number = json_field<int64_t>(json, "number", file);
@@ -107,22 +105,8 @@ Capture read_capture(const Path& folder) {
                 ": not a capture (capture.json is missing); make one with 'effigy track VIDEO -o "
                 "CAPTURE'.");
   const Json json = read_json(file);
-  const int version = json_field<int>(json, "version", file);
-  if (version != kFormatVersion)
-    throw Error(file.string() + ": field 'version' is " + std::to_string(version) +
-                ", this program reads version 1; update Effigy or make the capture again.");
   Capture capture;
-  capture.folder = folder;
-  capture.kind = json_field<std::string>(json, "kind", file);
-  if (capture.kind != "head")
-    throw Error(file.string() + ": field 'kind' is '" + capture.kind +
-                "', a 'head' capture is needed here.");
-  capture.source = json_field_or<std::string>(json, "source", file, "not stated");
-  capture.licence = json_field_or<std::string>(json, "licence", file, "not stated");
-  capture.consent = json_field_or<std::string>(json, "consent", file, "not stated");
-  capture.display =
-      display_transform_from_name(json_field_or<std::string>(json, "display", file, "srgb"));
-  capture.frames_per_second = json_field_or<double>(json, "frames_per_second", file, 25.0);
+  read_description(json, "head", file, capture);
   const auto cameras = json_field<std::vector<Json>>(json, "cameras", file);
   if (cameras.size() != 1)
     throw Error(file.string() + ": field 'cameras' has " + std::to_string(cameras.size()) +
@@ -132,7 +116,6 @@ Capture read_capture(const Path& folder) {
     capture.frames.push_back(frame_from_json(frame, file));
   if (capture.frames.empty())
     throw Error(file.string() + ": field 'frames' is empty; track the video again.");
-  capture.extra = json_field_or<Json>(json, "extra", file, Json::object());
   capture.rig = read_rig(folder / "rig.safetensors");
   read_tracking(capture);
   return capture;
@@ -144,21 +127,10 @@ void write_capture(const Capture& capture, const Path& folder) {
   for (const CaptureFrame& frame : capture.frames) frames.push_back(frame_json(frame));
   write_rig(folder / "rig.safetensors", capture.rig);
   write_tracking(capture, folder);
-  write_json(folder / "capture.json",
-             {{"format", "effigy-capture"},
-              {"version", kFormatVersion},
-              {"kind", capture.kind},
-              {"unit", "metre"},
-              {"colour", "srgb"},
-              {"display", to_string(capture.display)},
-              {"source", capture.source},
-              {"licence", capture.licence},
-              {"consent", capture.consent},
-              {"rig", capture.rig.kind},
-              {"frames_per_second", capture.frames_per_second},
-              {"cameras", Json::array({camera_json("cam0", capture.camera)})},
-              {"extra", capture.extra.is_null() ? Json::object() : capture.extra},
-              {"frames", frames}});
+  Json json = description_json(capture, "head");
+  json["cameras"] = Json::array({camera_json("cam0", capture.camera)});
+  json["frames"] = frames;
+  write_json(folder / "capture.json", json);
 }
 
 void split_test_frames(Capture& capture, int count) {

@@ -27,8 +27,7 @@ struct CaptureFrame {
 
 struct Capture {
   Path folder;
-  std::string kind = "head";  // "head" or "body"
-  std::string source;         // what it was made from
+  std::string source;  // what it was made from
   std::string licence = "not stated";
   std::string consent = "not stated";
   DisplayTransform display = DisplayTransform::kSrgb;

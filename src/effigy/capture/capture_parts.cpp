@@ -12,6 +12,18 @@ constexpr int kMostPixels = 16384;  // a side
 
 }  // namespace
 
+void check_description(const Json& json, const std::string& kind, const Path& file) {
+  const int version = json_field<int>(json, "version", file);
+  if (version != kCaptureVersion)
+    throw Error(file.string() + ": field 'version' is " + std::to_string(version) +
+                ", this program reads version " + std::to_string(kCaptureVersion) +
+                "; update Effigy or make the capture again.");
+  const auto found = json_field<std::string>(json, "kind", file);
+  if (found != kind)
+    throw Error(file.string() + ": field 'kind' is '" + found + "', a '" + kind +
+                "' capture is needed here.");
+}
+
 Json camera_json(const std::string& name, const Camera& camera) {
   Json rotation = Json::array();
   for (int row = 0; row < 3; ++row)

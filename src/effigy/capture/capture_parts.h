@@ -8,10 +8,49 @@
 #include "effigy/base/json.h"
 #include "effigy/base/safetensors.h"
 #include "effigy/geometry/types.h"
+#include "effigy/image/colour.h"
 #include "effigy/image/image.h"
 #include "effigy/rig/rig.h"
 
 namespace effigy {
+
+inline constexpr int kCaptureVersion = 1;
+
+// The fields of capture.json that captures of every kind have; C: Capture or StageCapture.
+template <typename C>
+Json description_json(const C& capture, const std::string& kind) {
+  return {{"format", "effigy-capture"},
+          {"version", kCaptureVersion},
+          {"kind", kind},
+          {"unit", "metre"},
+          {"colour", "srgb"},
+          {"display", to_string(capture.display)},
+          {"source", capture.source},
+          {"licence", capture.licence},
+          {"consent", capture.consent},
+          {"rig", capture.rig.kind},
+          {"frames_per_second", capture.frames_per_second},
+          {"extra", capture.extra.is_null() ? Json::object() : capture.extra}};
+}
+// Throws Error naming `file` for a capture of another version or kind.
+void check_description(const Json& json, const std::string& kind, const Path& file);
+// Reads them after check_description.
+template <typename C>
+void read_description(const Json& json, const std::string& kind, const Path& file, C& capture) {
+  check_description(json, kind, file);
+  capture.folder = file.parent_path();
+  const auto text = [&](const char* field) {
+    return json_field_or<std::string>(json, field, file, "not stated");
+  };
+  capture.source = text("source");
+  capture.licence = text("licence");
+  capture.consent = text("consent");
+  capture.display =
+      display_transform_from_name(json_field_or<std::string>(json, "display", file, "srgb"));
+  capture.frames_per_second =
+      json_field_or<double>(json, "frames_per_second", file, capture.frames_per_second);
+  capture.extra = json_field_or<Json>(json, "extra", file, Json::object());
+}
 
 Json camera_json(const std::string& name, const Camera& camera);
 // Throws Error naming `file` for an impossible camera.

@@ -12,7 +12,6 @@
 namespace effigy {
 namespace {
 
-constexpr int kFormatVersion = 1;
 constexpr StageSplit kSplits[] = {StageSplit::kTrain, StageSplit::kLights, StageSplit::kMotion,
                                   StageSplit::kEnvironment};
 
@@ -255,23 +254,12 @@ std::string capture_kind(const Path& folder) {
 }
 
 StageCapture read_stage_capture(const Path& folder) {
-  const std::string kind = capture_kind(folder);
   const Path file = folder / "capture.json";
-  if (kind != "body")
-    throw Error(file.string() + ": field 'kind' is '" + kind + "', a 'body' capture is needed.");
+  if (!std::filesystem::exists(file))
+    throw Error(folder.string() + ": not a capture (capture.json is missing); check the path.");
   const Json json = read_json(file);
-  const int version = json_field<int>(json, "version", file);
-  if (version != kFormatVersion)
-    throw Error(file.string() + ": field 'version' is " + std::to_string(version) +
-                ", this program reads version 1; update Effigy or make the capture again.");
   StageCapture capture;
-  capture.folder = folder;
-  capture.source = json_field_or<std::string>(json, "source", file, "not stated");
-  capture.licence = json_field_or<std::string>(json, "licence", file, "not stated");
-  capture.consent = json_field_or<std::string>(json, "consent", file, "not stated");
-  capture.display =
-      display_transform_from_name(json_field_or<std::string>(json, "display", file, "srgb"));
-  capture.frames_per_second = json_field_or<double>(json, "frames_per_second", file, 30.0);
+  read_description(json, "body", file, capture);
   std::set<std::string> names;
   for (const Json& camera : json_field<std::vector<Json>>(json, "cameras", file)) {
     capture.cameras.push_back(stage_camera_from(camera, file));
@@ -292,7 +280,6 @@ StageCapture read_stage_capture(const Path& folder) {
     throw Error(file.string() + ": it has no cameras or no frames; make the capture again.");
   capture.body_keypoint_names = json_field<std::vector<std::string>>(json, "body_keypoints", file);
   capture.face_keypoint_names = json_field<std::vector<std::string>>(json, "face_keypoints", file);
-  capture.extra = json_field_or<Json>(json, "extra", file, Json::object());
   capture.rig = read_rig(folder / "rig.safetensors");
   read_tracking(capture);
   if (!json.contains("truth")) return capture;
@@ -319,23 +306,12 @@ void write_stage_capture(const StageCapture& capture, const Path& folder) {
     lights.push_back(
         {{"position", three_json(l.position)}, {"intensity", three_json(l.intensity)}});
   for (const StageFrame& f : capture.frames) frames.push_back(frame_json(f));
-  Json json = {{"format", "effigy-capture"},
-               {"version", kFormatVersion},
-               {"kind", "body"},
-               {"unit", "metre"},
-               {"colour", "srgb"},
-               {"display", to_string(capture.display)},
-               {"source", capture.source},
-               {"licence", capture.licence},
-               {"consent", capture.consent},
-               {"rig", capture.rig.kind},
-               {"frames_per_second", capture.frames_per_second},
-               {"cameras", cameras},
-               {"lights", lights},
-               {"body_keypoints", capture.body_keypoint_names},
-               {"face_keypoints", capture.face_keypoint_names},
-               {"extra", capture.extra.is_null() ? Json::object() : capture.extra},
-               {"frames", frames}};
+  Json json = description_json(capture, "body");
+  json["cameras"] = cameras;
+  json["lights"] = lights;
+  json["body_keypoints"] = capture.body_keypoint_names;
+  json["face_keypoints"] = capture.face_keypoint_names;
+  json["frames"] = frames;
   write_rig(folder / "rig.safetensors", capture.rig);
   write_tracking(capture, folder);
   if (!capture.true_poses.empty()) {

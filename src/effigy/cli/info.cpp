@@ -52,7 +52,7 @@ Json describe_capture(const Path& path) {
     capture.load_mask(static_cast<int>(f));
   }
   return {{"what", "capture"},
-          {"kind", capture.kind},
+          {"kind", "head"},
           {"rig", capture.rig.kind},
           {"frames", capture.frames.size()},
           {"train", capture.train_frames().size()},

@@ -91,7 +91,8 @@ class Tracer {
                   Vec3f& weight) const {
     constexpr int kMostHits = 32;
     const ScatterProbe probe(exit, sampler.next(), sampler.next());
-    float u = sampler.next().x(), sum = 0, chosen_share = 0, near = 0;
+    WeightedChoice choice(sampler.next().x());
+    float near = 0;
     Vec3f chosen = Vec3f::Zero();
     for (int k = 0; k < kMostHits && probe.length > 0; ++k) {
       const TraceScene::Hit hit = scene_.closest(probe.origin, probe.direction, near);
@@ -101,21 +102,12 @@ class Tracer {
       const SurfacePoint point = scene_.surface(hit, -outward);
       if (point.mesh != exit.mesh || point.scatter.x() <= 0) continue;
       const Vec3f brought = probe.share(point.position - exit.position, outward);
-      const float share = brought.sum();
-      if (!(share > 0)) continue;
-      sum += share;
-      const float chance = share / sum;
-      if (u < chance) {
-        chosen = brought;
-        chosen_share = share;
-        entry = hit;
-        u = std::min(u / chance, 0x1.fffffep-1f);
-      } else {
-        u = std::min((u - chance) / (1 - chance), 0x1.fffffep-1f);
-      }
+      if (!choice.offer(brought.sum())) continue;
+      chosen = brought;
+      entry = hit;
     }
-    if (!(chosen_share > 0)) return false;
-    weight = weight.cwiseProduct(chosen) * (sum / chosen_share);
+    if (!choice.any()) return false;
+    weight = weight.cwiseProduct(chosen) * choice.inverse_chance();
     return true;
   }
 
@@ -198,31 +190,21 @@ class Tracer {
     const size_t compared = std::min(lights.size(), kLightsCompared);
     const float stride = static_cast<float>(lights.size()) / static_cast<float>(compared);
     const float start = compared < lights.size() ? drawn.y() : 0.5f;
-    // Sampling in place: one pass sums what they give, a light replaces the chosen one with its
-    // share of the sum so far (the one random number is stretched again each time).
-    float sum = 0, u = drawn.x(), chosen_distance = 0, chosen_share = 0;
+    WeightedChoice choice(drawn.x());
+    float chosen_distance = 0;
     Vec3f chosen = Vec3f::Zero(), chosen_direction = Vec3f::UnitZ();
     for (size_t k = 0; k < compared; ++k) {
       const size_t index = static_cast<size_t>((static_cast<float>(k) + start) * stride);
       const PointLight& light = lights[std::min(index, lights.size() - 1)];
       const Vec3f given = unshadowed(light, point, frame, brdf, direction, distance);
-      const float share = given.sum();
-      if (!(share > 0)) continue;
-      sum += share;
-      const float chance = share / sum;
-      if (u < chance) {
-        chosen = given;
-        chosen_direction = direction;
-        chosen_distance = distance;
-        chosen_share = share;
-        u = std::min(u / chance, 0x1.fffffep-1f);
-      } else {
-        u = std::min((u - chance) / (1 - chance), 0x1.fffffep-1f);
-      }
+      if (!choice.offer(given.sum())) continue;
+      chosen = given;
+      chosen_direction = direction;
+      chosen_distance = distance;
     }
-    if (chosen_share <= 0) return;
+    if (!choice.any()) return;
     total += weight.cwiseProduct(chosen) *
-             (passes(point, chosen_direction, chosen_distance) * stride * sum / chosen_share);
+             (passes(point, chosen_direction, chosen_distance) * stride * choice.inverse_chance());
   }
 
   const TraceScene& scene_;

@@ -4,6 +4,7 @@
 // frame, so that a resting surface keeps its noise and an animation does not flicker needlessly.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 
 #include "effigy/geometry/types.h"
@@ -46,6 +47,29 @@ inline uint32_t sobol_second(uint32_t reversed_index) {
   y ^= (y & 0x33333333u) << 2;
   return y ^ ((y & 0x55555555u) << 1);
 }
+
+// Chooses one of a sequence in proportion to shares that become known one by one: a candidate
+// replaces the chosen one with its part of the sum so far. One random number in [0, 1) does for
+// all, stretched again at each step.
+class WeightedChoice {
+ public:
+  explicit WeightedChoice(float u) : u_(u) {}
+  // Whether this candidate is the chosen one for now.
+  bool offer(float share) {
+    if (!(share > 0)) return false;
+    sum_ += share;
+    const float chance = share / sum_;
+    const bool taken = u_ < chance;
+    u_ = std::min(taken ? u_ / chance : (u_ - chance) / (1 - chance), 0x1.fffffep-1f);
+    if (taken) chosen_ = share;
+    return taken;
+  }
+  bool any() const { return chosen_ > 0; }
+  float inverse_chance() const { return sum_ / chosen_; }  // of the chosen one
+
+ private:
+  float u_, sum_ = 0, chosen_ = 0;
+};
 
 class PixelSampler {
  public:
