@@ -73,7 +73,7 @@ Camera camera_from_json(const Json& json, const Path& file) {
 
 Path path_inside(const Json& frame, const std::string& field, const Path& file, bool required) {
   if (!required && !frame.contains(field)) return {};
-  const Path path = json_field<std::string>(frame, field, file);
+  Path path = json_field<std::string>(frame, field, file);
   const bool escapes = path.is_absolute() || std::any_of(path.begin(), path.end(),
                                                          [](const Path& p) { return p == ".."; });
   if (path.empty() || escapes)

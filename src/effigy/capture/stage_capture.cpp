@@ -47,7 +47,7 @@ StageCamera stage_camera_from(const Json& json, const Path& file) {
 }
 
 StageLight light_from(const Json& json, const Path& file) {
-  const StageLight light{three_from(json, "position", file), three_from(json, "intensity", file)};
+  StageLight light{three_from(json, "position", file), three_from(json, "intensity", file)};
   if (light.intensity.minCoeff() < 0)
     throw Error(file.string() + ": field 'intensity' of a light is negative; correct it.");
   return light;

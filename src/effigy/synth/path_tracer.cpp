@@ -21,7 +21,6 @@ class Tracer {
  public:
   Tracer(const TraceScene& scene, const TraceOptions& options)
       : scene_(scene),
-        options_(options),
         shadows_(options.transport == Transport::kGlobal),
         bounces_(shadows_ ? options.bounces : 1) {}
 
@@ -208,7 +207,6 @@ class Tracer {
   }
 
   const TraceScene& scene_;
-  const TraceOptions& options_;
   bool shadows_;
   int bounces_;
 };
