@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "effigy/base/error.h"
+#include "effigy/base/threads.h"
 #include "effigy/track/mediapipe.h"
 
 namespace effigy {
@@ -31,34 +32,36 @@ void sample_square(const Image8& frame, double cx, double cy, double side, doubl
   const int total = size * samples;
   const float weight = gain / static_cast<float>(samples * samples);
   const int width = frame.width, height = frame.height;
-  std::fill(out, out + static_cast<size_t>(size) * size * 3, offset);
-  for (int v = 0; v < total; ++v) {
-    float* row = out + static_cast<size_t>(v / samples) * size * 3;
-    const float dv = static_cast<float>(v) + 0.5f - 0.5f * static_cast<float>(total);
-    for (int u = 0; u < total; ++u) {
-      const float du = static_cast<float>(u) + 0.5f - 0.5f * static_cast<float>(total);
-      const float x = static_cast<float>(cx) + cosine * du - sine * dv - 0.5f;
-      const float y = static_cast<float>(cy) + sine * du + cosine * dv - 0.5f;
-      float* pixel = row + (u / samples) * 3;
-      if (outside >= 0 && (x < -0.5f || y < -0.5f || x > static_cast<float>(width) - 0.5f ||
-                           y > static_cast<float>(height) - 0.5f)) {
-        for (int c = 0; c < 3; ++c) pixel[c] += weight * static_cast<float>(outside);
-        continue;
+  parallel_for(static_cast<size_t>(size), 32, [&](size_t first, size_t last, int) {
+    std::fill(out + first * size * 3, out + last * size * 3, offset);
+    for (int v = static_cast<int>(first) * samples; v < static_cast<int>(last) * samples; ++v) {
+      float* row = out + static_cast<size_t>(v / samples) * size * 3;
+      const float dv = static_cast<float>(v) + 0.5f - 0.5f * static_cast<float>(total);
+      for (int u = 0; u < total; ++u) {
+        const float du = static_cast<float>(u) + 0.5f - 0.5f * static_cast<float>(total);
+        const float x = static_cast<float>(cx) + cosine * du - sine * dv - 0.5f;
+        const float y = static_cast<float>(cy) + sine * du + cosine * dv - 0.5f;
+        float* pixel = row + (u / samples) * 3;
+        if (outside >= 0 && (x < -0.5f || y < -0.5f || x > static_cast<float>(width) - 0.5f ||
+                             y > static_cast<float>(height) - 0.5f)) {
+          for (int c = 0; c < 3; ++c) pixel[c] += weight * static_cast<float>(outside);
+          continue;
+        }
+        const float xc = std::clamp(x, 0.0f, static_cast<float>(width - 1));
+        const float yc = std::clamp(y, 0.0f, static_cast<float>(height - 1));
+        const int x0 = static_cast<int>(xc), y0 = static_cast<int>(yc);
+        const int x1 = std::min(x0 + 1, width - 1), y1 = std::min(y0 + 1, height - 1);
+        const float fx = xc - static_cast<float>(x0), fy = yc - static_cast<float>(y0);
+        const uint8_t *a = frame.at(x0, y0), *b = frame.at(x1, y0);
+        const uint8_t *c0 = frame.at(x0, y1), *d = frame.at(x1, y1);
+        const float wa = (1 - fx) * (1 - fy) * weight, wb = fx * (1 - fy) * weight;
+        const float wc = (1 - fx) * fy * weight, wd = fx * fy * weight;
+        for (int c = 0; c < 3; ++c)
+          pixel[c] += wa * static_cast<float>(a[c]) + wb * static_cast<float>(b[c]) +
+                      wc * static_cast<float>(c0[c]) + wd * static_cast<float>(d[c]);
       }
-      const float xc = std::clamp(x, 0.0f, static_cast<float>(width - 1));
-      const float yc = std::clamp(y, 0.0f, static_cast<float>(height - 1));
-      const int x0 = static_cast<int>(xc), y0 = static_cast<int>(yc);
-      const int x1 = std::min(x0 + 1, width - 1), y1 = std::min(y0 + 1, height - 1);
-      const float fx = xc - static_cast<float>(x0), fy = yc - static_cast<float>(y0);
-      const uint8_t *a = frame.at(x0, y0), *b = frame.at(x1, y0);
-      const uint8_t *c0 = frame.at(x0, y1), *d = frame.at(x1, y1);
-      const float wa = (1 - fx) * (1 - fy) * weight, wb = fx * (1 - fy) * weight;
-      const float wc = (1 - fx) * fy * weight, wd = fx * fy * weight;
-      for (int c = 0; c < 3; ++c)
-        pixel[c] += wa * static_cast<float>(a[c]) + wb * static_cast<float>(b[c]) +
-                    wc * static_cast<float>(c0[c]) + wd * static_cast<float>(d[c]);
     }
-  }
+  });
 }
 
 double sigmoid(double x) {
@@ -288,7 +291,7 @@ bool FaceTracker::measure(const Image8& frame, const Region& region, FaceObserva
 }
 
 void FaceTracker::score(FaceObservation& observation) {
-  if (!blendshapes_) return;
+  if (!blendshapes_ || !observation.found) return;
   Array points({1, 146, 2});
   for (size_t i = 0; i < mediapipe::kBlendshapeInput.size(); ++i)
     for (int c = 0; c < 2; ++c)
@@ -339,6 +342,12 @@ int FaceTracker::count_faces(const Image8& frame, const Region& followed) {
 }
 
 FaceObservation FaceTracker::observe(const Image8& frame) {
+  FaceObservation observation = locate(frame);
+  score(observation);
+  return observation;
+}
+
+FaceObservation FaceTracker::locate(const Image8& frame) {
   EFFIGY_CHECK_EQ(frame.channels, 3);
   FaceObservation observation;
   if (next_) observation.found = measure(frame, *next_, observation);
@@ -366,7 +375,6 @@ FaceObservation FaceTracker::observe(const Image8& frame) {
     most_faces_ = std::max(most_faces_, observation.faces);
     if (observation.faces > 1) ++crowded_looks_;
   }
-  score(observation);
   return observation;
 }
 

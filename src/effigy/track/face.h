@@ -49,6 +49,10 @@ class FaceTracker {
   explicit FaceTracker(const ModelSet& models);
   // Call with consecutive frames.
   FaceObservation observe(const Image8& frame);
+  // The two parts of observe. Only `locate` needs the frame before; `score` may run on another
+  // thread while the next frame is located (one at a time).
+  FaceObservation locate(const Image8& frame);
+  void score(FaceObservation& observation);
 
   int landmark_count() const { return landmark_count_; }
   // People in the picture at once: faces of at least a third of the followed one's size that the
@@ -63,7 +67,6 @@ class FaceTracker {
   static Region region_of(const FaceBox& box);
   Region region_of(const std::vector<float>& landmarks) const;
   bool measure(const Image8& frame, const Region& region, FaceObservation& observation);
-  void score(FaceObservation& observation);
   int count_faces(const Image8& frame, const Region& followed);
   std::optional<FaceBox> choose(const std::vector<FaceBox>& boxes, const Image8& frame) const;
 

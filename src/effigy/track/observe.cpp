@@ -75,7 +75,8 @@ void check_observation(const VideoObservation& seen, const std::string& video, b
 }
 
 VideoObservation observe_video(const Path& video, const ModelSet& models,
-                               const TrackOptions& options) {
+                               const TrackOptions& options,
+                               const std::function<void()>& each_frame) {
   FaceTracker tracker(models);
   std::optional<PersonSegmenter> segmenter;
   if (!options.matte) segmenter.emplace(models);
@@ -88,12 +89,18 @@ VideoObservation observe_video(const Path& video, const ModelSet& models,
   if (options.most_frames > 0 && (expected == 0 || expected > options.most_frames))
     expected = options.most_frames;
   Progress progress("landmarks", "frame", expected);
-  std::future<std::pair<TorsoMotion, PhotoWindow>> beside;
+  struct Beside {
+    FaceObservation face;
+    TorsoMotion torso;
+    PhotoWindow photo;
+  };
+  std::future<Beside> beside;
   const auto collect = [&] {
     if (!beside.valid()) return;
-    auto [motion, window] = beside.get();
-    seen.views.torso.push_back(motion);
-    seen.views.photos.push_back(std::move(window));
+    Beside done = beside.get();
+    seen.frames.push_back(std::move(done.face));
+    seen.views.torso.push_back(done.torso);
+    seen.views.photos.push_back(std::move(done.photo));
   };
   FrameSource::Frame frame;
   while (source.next(frame)) {
@@ -105,14 +112,19 @@ VideoObservation observe_video(const Path& video, const ModelSet& models,
                   std::to_string(frame.number) + "; convert the video to one size.");
     }
     seen.seconds.push_back(frame.seconds);
-    seen.frames.push_back(tracker.observe(frame.picture));
-    // Torso and look on another thread, while the networks see the next frame.
+    FaceObservation located = tracker.locate(frame.picture);
+    // Scores, torso and look on another thread, while the next frame's face is located.
     collect();
-    beside = std::async(std::launch::async, [&torso, picture = std::move(frame.picture),
-                                             face = seen.frames.back()] {
-      return std::pair(torso.follow(picture, face), photo_window(picture, face));
+    beside = std::async(std::launch::async, [&tracker, &torso, picture = std::move(frame.picture),
+                                             face = std::move(located)]() mutable {
+      tracker.score(face);
+      Beside done{
+          .face = {}, .torso = torso.follow(picture, face), .photo = photo_window(picture, face)};
+      done.face = std::move(face);
+      return done;
     });
     progress.update(frame.number + 1);
+    if (each_frame) each_frame();
   }
   collect();
   progress.finish();

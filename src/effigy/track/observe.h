@@ -1,6 +1,7 @@
 // The first pass over a video: landmarks of every frame. Private to track/.
 #pragma once
 
+#include <functional>
 #include <string>
 #include <vector>
 
@@ -21,9 +22,11 @@ struct VideoObservation {
 };
 
 // Throws Error when there are too few frames with a face, and, unless options.tolerant, when the
-// picture shows several people or the face is away for long.
+// picture shows several people or the face is away for long. `each_frame` is called after every
+// frame; what it throws ends the pass.
 VideoObservation observe_video(const Path& video, const ModelSet& models,
-                               const TrackOptions& options);
+                               const TrackOptions& options,
+                               const std::function<void()>& each_frame = {});
 
 // The checks alone.
 void check_observation(const VideoObservation& seen, const std::string& video, bool tolerant);

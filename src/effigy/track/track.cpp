@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cstdlib>
+#include <future>
 
 #include "effigy/base/log.h"
 #include "effigy/capture/capture.h"
@@ -90,12 +91,21 @@ Json track_video(const Path& video, const Path& output, const TrackOptions& opti
   capture.source = video.filename().string();
   capture.consent = options.consent;
   capture.licence = options.licence;
-  capture.rig = choose_rig(options, models);
-  log_info("tracking with the rig " + capture.rig.kind + " and " + models.description());
-  clock.stage("rig");
-  const VideoObservation seen = observe_video(video, models, options);
+  // The rig is prepared while the networks see the first frames; a bad one ends the pass early.
+  std::future<Rig> rig =
+      std::async(std::launch::async, [&] { return choose_rig(options, models); });
+  const auto take_rig = [&] {
+    if (!rig.valid()) return;
+    capture.rig = rig.get();
+    log_info("tracking with the rig " + capture.rig.kind + " and " + models.description());
+  };
+  const VideoObservation seen = observe_video(video, models, options, [&] {
+    if (rig.valid() && rig.wait_for(std::chrono::seconds(0)) == std::future_status::ready)
+      take_rig();
+  });
+  take_rig();
   if (options.matte) list_own_mattes(*options.matte, seen.frames.size());
-  clock.stage("landmarks");
+  clock.stage("rig and landmarks");
   const FitResult fit = fit_rig(capture.rig, seen.frames, seen.views, seen.width, seen.height, {});
   shift_joint(capture.rig, fit.identity, std::max(capture.rig.joint("neck"), 0), fit.neck_shift);
   clock.stage("fit");
