@@ -5,12 +5,12 @@
 
 #include "effigy/base/error.h"
 #include "effigy/base/threads.h"
+#include "effigy/geometry/gutter.h"
 #include "effigy/image/resample.h"
 #include "effigy/people/body_model.h"
 #include "effigy/people/body_paint.h"
 #include "effigy/people/builtin_body.h"
 #include "effigy/people/builtin_head.h"
-#include "effigy/people/gutter.h"
 #include "effigy/people/head_subject.h"
 
 namespace effigy {
@@ -187,7 +187,7 @@ class BodyPainter {
     BodyMaterials out{Image(size, size, 3), Image(size, size, 1),
                       Image(size, size, 1), Image(size, size, 3),
                       Image(size, size, 1), std::vector<uint8_t>(map_.triangle.size(), 0)};
-    const std::vector<int> from = people::nearest_shown(map_);
+    const std::vector<int> from = nearest_shown(map_.size, map_.triangle);
     for (size_t i = 0; i < from.size(); ++i) {
       const size_t s = static_cast<size_t>(from[i]);
       const BodyPaint& p = paint_[s];

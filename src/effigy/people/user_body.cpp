@@ -5,10 +5,10 @@
 
 #include "effigy/base/error.h"
 #include "effigy/geometry/atlas.h"
+#include "effigy/geometry/gutter.h"
 #include "effigy/image/colour.h"
 #include "effigy/image/resample.h"
 #include "effigy/people/body_rig.h"
-#include "effigy/people/gutter.h"
 #include "effigy/people/user_parts.h"
 
 namespace effigy::people {
@@ -71,7 +71,7 @@ void fill_weights(const UserSource& source, const std::vector<int>& number, Rig&
 void bake(const UserSource& source, const std::vector<Vec2f>& old_uv, int size, UserBody& body) {
   const Mesh& mesh = body.rig.mesh;
   const TexelMap map = texel_map(mesh, size);
-  const std::vector<int> from = nearest_shown(map);
+  const std::vector<int> from = nearest_shown(map.size, map.triangle);
   body.albedo = Image(size, size, 3);
   body.roughness = Image(size, size, 1, 0.6f);
   body.alpha = Image(size, size, 1, 1.0f);

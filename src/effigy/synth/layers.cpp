@@ -3,10 +3,10 @@
 #include <cmath>
 #include <numbers>
 
+#include "effigy/rays/sampler.h"
 #include "effigy/synth/brdf.h"
 #include "effigy/synth/camera_rays.h"
 #include "effigy/synth/path_tracer.h"
-#include "effigy/synth/sampler.h"
 
 namespace effigy {
 namespace {

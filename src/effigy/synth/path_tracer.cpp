@@ -4,9 +4,9 @@
 #include <cmath>
 
 #include "effigy/base/error.h"
+#include "effigy/rays/sampler.h"
 #include "effigy/synth/brdf.h"
 #include "effigy/synth/camera_rays.h"
-#include "effigy/synth/sampler.h"
 #include "effigy/synth/subsurface.h"
 
 namespace effigy {

@@ -8,9 +8,9 @@
 
 #include "effigy/geometry/mesh.h"
 #include "effigy/image/image.h"
+#include "effigy/light/environment_sampler.h"
 #include "effigy/rays/ray_scene.h"
 #include "effigy/splat/surfel_raster.h"
-#include "effigy/synth/environment_sampler.h"
 
 namespace effigy {
 

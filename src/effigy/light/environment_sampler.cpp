@@ -1,10 +1,11 @@
-#include "effigy/synth/environment_sampler.h"
+#include "effigy/light/environment_sampler.h"
 
 #include <algorithm>
 #include <cmath>
 #include <numbers>
 
 #include "effigy/base/error.h"
+#include "effigy/image/colour.h"
 
 namespace effigy {
 namespace {
@@ -17,8 +18,16 @@ double row_height(int row, int height) {  // d(cos theta)
 
 }  // namespace
 
-EnvironmentSampler::EnvironmentSampler(const Image& image, double rotation)
-    : width_(image.width), height_(image.height), rotation_(static_cast<float>(rotation)) {
+EnvironmentSampler::EnvironmentSampler(const Cubemap& radiance, EnvironmentDraw draw)
+    : EnvironmentSampler(
+          equirectangular_from_cubemap(radiance, 4 * radiance.size, 2 * radiance.size), 0.0, draw) {
+}
+
+EnvironmentSampler::EnvironmentSampler(const Image& image, double rotation, EnvironmentDraw draw)
+    : width_(image.width),
+      height_(image.height),
+      draw_(draw),
+      rotation_(static_cast<float>(rotation)) {
   EFFIGY_CHECK(width_ >= 2 && height_ >= 1 && image.channels == 3);
   texels_.resize(static_cast<size_t>(width_) * height_);
   for (int y = 0; y < height_; ++y) {
@@ -29,8 +38,6 @@ EnvironmentSampler::EnvironmentSampler(const Image& image, double rotation)
       flux_ += solid_angle * texels_[i].cast<double>();
     }
   }
-  // Surface samples find the even part of the light by themselves; light samples are drawn in
-  // proportion to what exceeds the mean (Karlik et al. 2019, "MIS compensation").
   floor_ = static_cast<float>(flux_.mean() / (4 * kPi) * (1 + 1e-5));
   columns_.resize(height_);
   row_cosine_.resize(static_cast<size_t>(height_) + 1);
@@ -78,7 +85,9 @@ int EnvironmentSampler::Table::find(float u, float& place) const {
 }
 
 float EnvironmentSampler::brightness(size_t i) const {
-  return std::max(texels_[i].mean() - floor_, 0.0f);
+  const Vec3f& t = texels_[i];
+  if (draw_ == EnvironmentDraw::kLuminance) return luminance(t.x(), t.y(), t.z());
+  return std::max(t.mean() - floor_, 0.0f);
 }
 
 EnvironmentSampler::Sample EnvironmentSampler::sample(const Vec2f& u) const {

@@ -1,14 +1,16 @@
-#include "effigy/people/gutter.h"
+#include "effigy/geometry/gutter.h"
 
 #include <utility>
 
-namespace effigy::people {
+#include "effigy/base/error.h"
 
-std::vector<int> nearest_shown(const TexelMap& map) {
-  const int size = map.size;
-  std::vector<int> from(map.triangle.size(), -1), front;
+namespace effigy {
+
+std::vector<int> nearest_shown(int size, std::span<const int32_t> shown) {
+  EFFIGY_CHECK_EQ(shown.size(), static_cast<size_t>(size) * static_cast<size_t>(size));
+  std::vector<int> from(shown.size(), -1), front;
   for (size_t i = 0; i < from.size(); ++i)
-    if (map.triangle[i] >= 0) {
+    if (shown[i] >= 0) {
       from[i] = static_cast<int>(i);
       front.push_back(static_cast<int>(i));
     }
@@ -30,4 +32,4 @@ std::vector<int> nearest_shown(const TexelMap& map) {
   return from;
 }
 
-}  // namespace effigy::people
+}  // namespace effigy
