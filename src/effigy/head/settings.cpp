@@ -1,16 +1,15 @@
 #include "effigy/head/settings.h"
 
 #include <cmath>
-#include <set>
 
 #include "effigy/base/error.h"
+#include "effigy/base/settings.h"
 
 namespace effigy {
 namespace {
 
-// Calls visit(name, reference) for every setting: the one list that reading and writing share.
-template <typename Settings, typename Visit>
-void visit_settings(Settings& s, Visit&& visit) {
+// The one list that reading and writing share (base/settings.h).
+constexpr auto kList = [](auto& s, auto&& visit) {
   visit("preset", s.preset);
   visit("paper_literal", s.paper_literal);
   visit("iterations", s.iterations);
@@ -66,7 +65,7 @@ void visit_settings(Settings& s, Visit&& visit) {
   visit("evaluate_every", s.evaluate_every);
   visit("checkpoint_every", s.checkpoint_every);
   visit("seed", s.seed);
-}
+};
 
 void check(const TrainSettings& s, const std::string& name) {
   auto require = [&](bool good, const char* what) {
@@ -138,21 +137,11 @@ void TrainSettings::make_paper_literal() {
 }
 
 Json to_json(const TrainSettings& settings) {
-  Json json = Json::object();
-  visit_settings(settings, [&](const char* name, const auto& value) { json[name] = value; });
-  return json;
+  return settings_to_json(settings, kList);
 }
 
 void from_json_checked(const Json& json, const std::string& name, TrainSettings& settings) {
-  if (!json.is_object()) throw Error(name + ": settings must be a JSON object.");
-  std::set<std::string> known;
-  visit_settings(settings, [&](const char* field, auto& value) {
-    known.insert(field);
-    if (json.contains(field)) value = json_field<std::decay_t<decltype(value)>>(json, field, name);
-  });
-  for (const auto& [field, value] : json.items())
-    if (!known.count(field))
-      throw Error(name + ": unknown setting '" + field + "'; see docs/training.md.");
+  settings_from_json(json, name, "docs/training.md", settings, kList);
   check(settings, name);
 }
 
