@@ -11,7 +11,7 @@ namespace {
 
 constexpr float kLeastAlpha = 1.0f / 255.0f;  // of a pixel that gets specular light
 constexpr float kLeastNormal = 1e-6f;         // length of a blended normal that means something
-constexpr float kLeastRoughness = 1e-3f;
+constexpr float kNarrowest = 1e-3f;           // lobe
 constexpr size_t kGrain = 2048;
 
 void zero(std::vector<float>& values, size_t count) {
@@ -175,8 +175,8 @@ void BodyPicture::State::gather_pixels(const Camera& camera, const BodyDrawOptio
         to_camera[c * m + e] = w[static_cast<int>(c)];
         where[c * m + e] = eye[static_cast<int>(c)] + depth * ray[static_cast<int>(c)];
       }
-      sigma[e] = std::max(image.plane(1 + kBodyRoughness)[p] * over_alpha(alpha[p], options),
-                          kLeastRoughness);
+      sigma[e] =
+          std::max(image.plane(1 + kBodyRoughness)[p] * over_alpha(alpha[p], options), kNarrowest);
     }
   });
 }
@@ -195,7 +195,7 @@ void BodyPicture::State::gather_texels(const Camera& camera, const BodySurface& 
     for (size_t i = begin; i < end; ++i) {
       const Vec3f w = (eye - Eigen::Map<const Vec3f>(&surface.placed.center[3 * i])).normalized();
       for (size_t c = 0; c < 3; ++c) to_camera[c * n + i] = w[static_cast<int>(c)];
-      sigma[i] = std::max(surface.roughness[i], kLeastRoughness);
+      sigma[i] = std::max(surface.roughness[i], kNarrowest);
     }
   });
 }
@@ -326,7 +326,7 @@ void BodyPicture::State::scatter_pixels(const BodyDrawOptions& options, float or
       for (int c = 0; c < 3; ++c) d_image.plane(1 + kBodyNormal + c)[p] += mean[c];
       const float inverse = over_alpha(alpha[p], options);
       const float blended = image.plane(1 + kBodyRoughness)[p];
-      if (blended * inverse <= kLeastRoughness) continue;
+      if (blended * inverse <= kNarrowest) continue;
       d_image.plane(1 + kBodyRoughness)[p] += d_sigma[e] * inverse;
       if (options.divide_by_alpha) d_image.plane(0)[p] -= d_sigma[e] * blended * inverse * inverse;
     }
@@ -363,7 +363,7 @@ void BodyPicture::State::texels_backward(const BodySurface& surface, const BodyL
             d[kBodyNormal + c] + (options.deferred ? 0.0f : d_normal[c * n + i]);
       }
       gradients.roughness[i] += d[kBodyRoughness];
-      if (!options.deferred && surface.roughness[i] > kLeastRoughness)
+      if (!options.deferred && surface.roughness[i] > kNarrowest)
         gradients.roughness[i] += d_sigma[i];
       gradients.visibility[i] += d[kBodyVisibility];
       gradients.shadow[i] += d[kBodyShadow];

@@ -1,7 +1,5 @@
 // The whole training run: loop, progress, held-out score, checkpoints, the avatar on disk.
 
-#include <sys/resource.h>
-
 #include <chrono>
 
 #include "effigy/base/log.h"
@@ -9,45 +7,10 @@
 #include "effigy/base/threads.h"
 #include "effigy/head/evaluate.h"
 #include "effigy/head/trainer.h"
+#include "effigy/learn/training_log.h"
 
 namespace effigy {
 namespace {
-
-uint64_t peak_memory_bytes() {
-  rusage usage{};
-  getrusage(RUSAGE_SELF, &usage);
-  return static_cast<uint64_t>(usage.ru_maxrss) * 1024;
-}
-
-// The curve that the report draws: one entry every few iterations.
-class Curve {
- public:
-  void add(int64_t iteration, const LossValues& losses) {
-    for (const auto& [name, value] : losses) sums_[name] += value;
-    if (++count_ < kEvery) return;
-    Json entry = {{"iteration", iteration}};
-    for (const auto& [name, value] : sums_) entry[name] = value / count_;
-    entries_.push_back(entry);
-    sums_.clear();
-    count_ = 0;
-  }
-  void add_heldout(int64_t iteration, double psnr) {
-    heldout_.push_back({{"iteration", iteration}, {"psnr", psnr}});
-  }
-  Json losses() const { return entries_; }
-  Json heldout() const { return heldout_; }
-  // Goes on from the file of an interrupted run.
-  void restore(const Json& training) {
-    if (training.contains("losses")) entries_ = training["losses"];
-    if (training.contains("heldout")) heldout_ = training["heldout"];
-  }
-
- private:
-  static constexpr int kEvery = 25;
-  int count_ = 0;
-  LossValues sums_;
-  Json entries_ = Json::array(), heldout_ = Json::array();
-};
 
 class TrainRun {
  public:
@@ -140,7 +103,7 @@ class TrainRun {
   Path out_;
   TrainOptions options_;
   HeadTrainer trainer_;
-  Curve curve_;
+  TrainingCurve curve_;
   double seconds_before_ = 0;
 };
 

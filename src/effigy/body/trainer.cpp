@@ -1,0 +1,274 @@
+#include "effigy/body/trainer.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+#include "effigy/base/random.h"
+#include "effigy/body/start_maps.h"
+#include "effigy/body/trainer_state.h"
+
+namespace effigy {
+namespace {
+
+constexpr size_t kRecent = 32;  // losses that an explosion is measured against
+constexpr AdamSettings kAdam{0.9f, 0.999f, 1e-8f};
+enum RandomStream : uint64_t { kViewOrder = 11, kCrop = 12 };
+
+// Statistics of keypoints in root frames over the training frames.
+void scale_keypoints(const StageCapture& capture, StageMoments& moments, BodyNetworks& networks) {
+  std::vector<float> body, face;
+  for (const int frame : capture.frames_of(StageSplit::kTrain)) {
+    const StageMoments::Keypoints keypoints = moments.keypoints(frame);
+    body.insert(body.end(), keypoints.body.begin(), keypoints.body.end());
+    face.insert(face.end(), keypoints.face.begin(), keypoints.face.end());
+  }
+  const BodyNetworkSettings& s = networks.settings();
+  networks.set_keypoint_scale(keypoint_scale(body, s.body_keypoints),
+                              keypoint_scale(face, s.face_keypoints));
+}
+
+BodyNetworkSettings network_settings(const StageCapture& capture,
+                                     const BodyTrainSettings& settings) {
+  return BodyNetworkSettings::from_size(settings.size,
+                                        static_cast<int>(capture.body_keypoint_names.size()),
+                                        static_cast<int>(capture.face_keypoint_names.size()));
+}
+
+}  // namespace
+
+BodyDrawOptions draw_options(const BodyTrainSettings& settings) {
+  BodyDrawOptions options;
+  options.deferred = settings.deferred;
+  options.divide_by_alpha = settings.divide_by_alpha;
+  options.sg_norm = sg_norm_named(settings.sg_norm.c_str());
+  return options;
+}
+
+BodyTrainer::State::State(const StageCapture& capture_in, const BodyTrainSettings& settings_in)
+    : capture(capture_in),
+      settings(settings_in),
+      model(capture_in.rig.mesh, network_settings(capture_in, settings_in), settings_in.seed),
+      moments(capture_in, model.shadow_texels(), settings_in),
+      options(draw_options(settings_in)),
+      frames(capture_in.frames_of(StageSplit::kTrain)),
+      cameras(capture_in.train_cameras()),
+      colours(capture_in.cameras.size()) {
+  if (frames.empty() || cameras.empty())
+    throw Error(capture.folder.string() +
+                ": the capture has no training frames or no training cameras; mark some in "
+                "capture.json.");
+  prepare_model();
+  scale_keypoints(capture, moments, model.networks());
+  if (settings.shadow) model.networks().set_mean_irradiance(moments.mean_irradiance(frames));
+  if (settings.start_from_frames) start_albedo(capture, moments, model);
+  for (const BodyParameter& parameter : model.networks().parameters())
+    networks.emplace_back(parameter.value.size());
+  albedo = AdamState(model.maps().albedo.size());
+  roughness = AdamState(model.maps().log_roughness.size());
+  colour_states.assign(colours.size(), AdamState(6));
+}
+
+void BodyTrainer::State::prepare_model() {
+  model.set_mesh_normals(settings.normals == "mesh");
+  model.networks().set_training(true);
+}
+
+// Views come in a new random order each epoch; it depends on seed, epoch and `order` only.
+std::pair<int, int> BodyTrainer::State::view_at(int64_t position) {
+  const int64_t epoch = position / static_cast<int64_t>(views());
+  if (epoch != epoch_ || permutation_.empty()) {
+    permutation_.resize(views());
+    std::iota(permutation_.begin(), permutation_.end(), size_t{0});
+    Random random(settings.seed + 0x51ed2701 * static_cast<uint64_t>(epoch) +
+                      0x9e3779b9 * static_cast<uint64_t>(order),
+                  kViewOrder);
+    for (size_t i = permutation_.size(); i > 1; --i)
+      std::swap(permutation_[i - 1], permutation_[random.below(i)]);
+    epoch_ = epoch;
+  }
+  const size_t chosen = permutation_[static_cast<size_t>(position) % views()];
+  return {frames[chosen / cameras.size()], cameras[chosen % cameras.size()]};
+}
+
+double BodyTrainer::State::rate_factor() const {
+  const double start = settings.iterations * (1 - settings.final_part);
+  const double rest = settings.iterations - start, at = static_cast<double>(iteration);
+  if (rest <= 0 || at < start) return 1.0;
+  return std::pow(settings.final_rate_factor, (at - start) / rest);
+}
+
+double BodyTrainer::State::normal_weight() const {
+  const double end = settings.normal_anneal * settings.iterations;
+  return end > 0 ? settings.weights.normal * std::max(0.0, 1 - static_cast<double>(iteration) / end)
+                 : 0.0;
+}
+
+double BodyTrainer::State::total(const BodyLossValues& values) const {
+  const BodyWeights& w = settings.weights;
+  const std::map<std::string, double> weights = {{"l1", w.l1},
+                                                 {"dssim", w.dssim},
+                                                 {"pyramid", w.pyramid},
+                                                 {"mask", w.mask},
+                                                 {"alpha_sparsity", w.alpha_sparsity},
+                                                 {"scale", w.scale},
+                                                 {"offset", w.offset},
+                                                 {"normal", normal_weight()},
+                                                 {"bound", w.bound},
+                                                 {"albedo", w.albedo},
+                                                 {"neg_color", w.neg_color},
+                                                 {"normal_orient", w.normal_orient}};
+  double sum = 0;
+  for (const auto& [name, value] : values) sum += weights.at(name) * value;
+  return sum;
+}
+
+// Draws one view and adds its gradients; losses are added as part of the batch's mean.
+void BodyTrainer::State::draw_view(int64_t position, BodyLossValues& mean) {
+  const auto [frame, camera] = view_at(position);
+  Random random(settings.seed + 0x2545f491 * static_cast<uint64_t>(position), kCrop);
+  view = load_body_view(capture, frame, camera, settings.crop, random);
+  const auto light = moments.light(frame);
+  model.pose(moments.moment(frame));
+  model.look(view.camera.center().cast<float>());
+  const BodySurface& surface = model.surface();
+  picture.draw(view.camera, surface, *light, options);
+
+  const CameraColour& colour = colours[static_cast<size_t>(camera)];
+  BodyLossValues values = body_image_losses(settings, view.target, colour, picture, d_image);
+  const size_t n = surface.count();
+  d_surface.clear(n);
+  d_decoded.assign(n * GaussianChannels::kCount, 0.0f);
+  d_diffuse.assign(3 * n, 0.0f);
+  values.merge(body_texel_losses(settings, normal_weight(), model.decoded(), surface,
+                                 picture.diffuse(), d_decoded, d_surface, d_diffuse));
+  if (settings.deferred) values["normal_orient"] = picture.normal_orient();
+  picture.backward(view.camera, surface, *light, options,
+                   {&d_image.radiance, d_image.alpha, d_diffuse,
+                    static_cast<float>(settings.weights.normal_orient)},
+                   d_surface);
+  model.backward(d_surface, d_decoded, d_maps);
+  for (size_t c = 0; c < 3; ++c) {
+    d_colours[static_cast<size_t>(camera)][c] += d_image.gain[c];
+    d_colours[static_cast<size_t>(camera)][3 + c] += d_image.offset[c];
+  }
+  for (const auto& [name, value] : values) mean[name] += value / settings.batch;
+}
+
+void BodyTrainer::State::update_networks() {
+  const std::vector<BodyParameter> parameters = model.networks().parameters();
+  double square = 0;
+  for (const BodyParameter& parameter : parameters) {
+    const double norm = check_gradient(parameter.gradient).norm;
+    square += norm * norm;
+  }
+  const double norm = std::sqrt(square) / settings.batch;
+  double factor = 1.0 / settings.batch;
+  if (settings.clip_gradient > 0 && norm > settings.clip_gradient)
+    factor *= settings.clip_gradient / norm;
+  const auto rate = static_cast<float>(rate_factor() * settings.rates.networks);
+  for (size_t p = 0; p < parameters.size(); ++p) {
+    std::span<const float> gradient = parameters[p].gradient;
+    if (gradient.empty()) continue;
+    if (factor != 1.0) {
+      scaled.resize(gradient.size());
+      for (size_t i = 0; i < gradient.size(); ++i)
+        scaled[i] = static_cast<float>(factor) * gradient[i];
+      gradient = scaled;
+    }
+    adam_step(parameters[p].value, gradient, networks[p], rate, kAdam);
+  }
+  model.networks().clear_gradients();
+}
+
+void BodyTrainer::State::update_maps() {
+  const auto rate = static_cast<float>(rate_factor() * settings.rates.maps);
+  BodyMaps& maps = model.maps();
+  adam_step(maps.albedo, d_maps.albedo, albedo, rate, kAdam);
+  adam_step(maps.log_roughness, d_maps.log_roughness, roughness, rate, kAdam);
+  // What is saved as pictures has to be of their range.
+  for (float& value : maps.albedo) value = std::clamp(value, 0.0f, 1.0f);
+  for (float& value : maps.log_roughness)
+    value = std::clamp(value, std::log(kLeastRoughness), std::log(kMostRoughness));
+}
+
+// The first training camera is what the others are measured by.
+void BodyTrainer::State::update_colours() {
+  if (!settings.camera_gains) return;
+  const auto rate = static_cast<float>(rate_factor() * settings.rates.cameras);
+  for (size_t k = 1; k < cameras.size(); ++k) {
+    const auto camera = static_cast<size_t>(cameras[k]);
+    std::array<float, 6> value, gradient;
+    bool touched = false;
+    for (size_t i = 0; i < 6; ++i) {
+      value[i] = i < 3 ? colours[camera].gain[i] : colours[camera].offset[i - 3];
+      gradient[i] = static_cast<float>(d_colours[camera][i] / settings.batch);
+      touched = touched || gradient[i] != 0;
+    }
+    if (!touched) continue;
+    adam_step(value, gradient, colour_states[camera], rate, kAdam);
+    std::copy_n(value.begin(), 3, colours[camera].gain.begin());
+    std::copy_n(value.begin() + 3, 3, colours[camera].offset.begin());
+  }
+}
+
+BodyLossValues BodyTrainer::State::step() {
+  d_maps.albedo.assign(model.maps().albedo.size(), 0.0f);
+  d_maps.log_roughness.assign(model.maps().log_roughness.size(), 0.0f);
+  d_colours.assign(colours.size(), {});
+  BodyLossValues mean;
+  for (int b = 0; b < settings.batch; ++b) draw_view(iteration * settings.batch + b, mean);
+  const double loss = total(mean);
+  const double before = std::accumulate(recent.begin(), recent.end(), 0.0) /
+                        static_cast<double>(std::max<size_t>(recent.size(), 1));
+  const bool burst =
+      settings.explosion > 0 && recent.size() == kRecent && loss > settings.explosion * before;
+  if (!std::isfinite(loss) || burst) {
+    model.networks().clear_gradients();
+    throw Diverged("Training diverged at iteration " + std::to_string(iteration) +
+                       ": the loss jumped from " + std::to_string(before) + " to " +
+                       std::to_string(loss) + "; lower rate.networks (--set).",
+                   Blame::kInternal);
+  }
+  recent.push_back(static_cast<float>(loss));
+  if (recent.size() > kRecent) recent.pop_front();
+  update_networks();
+  if (settings.batch > 1) {
+    const float share = 1.0f / static_cast<float>(settings.batch);
+    for (float& d : d_maps.albedo) d *= share;
+    for (float& d : d_maps.log_roughness) d *= share;
+  }
+  update_maps();
+  update_colours();
+  ++iteration;
+  return mean;
+}
+
+BodyTrainer::BodyTrainer(const StageCapture& capture, const BodyTrainSettings& settings)
+    : state_(std::make_unique<State>(capture, settings)) {}
+BodyTrainer::~BodyTrainer() = default;
+
+int64_t BodyTrainer::iteration() const {
+  return state_->iteration;
+}
+BodyLossValues BodyTrainer::step() {
+  return state_->step();
+}
+void BodyTrainer::change_order() {
+  ++state_->order;
+  state_->forget_order();
+}
+const BodyTrainSettings& BodyTrainer::settings() const {
+  return state_->settings;
+}
+BodyModel& BodyTrainer::model() {
+  return state_->model;
+}
+StageMoments& BodyTrainer::moments() {
+  return state_->moments;
+}
+const std::vector<CameraColour>& BodyTrainer::camera_colours() const {
+  return state_->colours;
+}
+
+}  // namespace effigy

@@ -1,0 +1,51 @@
+// Trains a body avatar on a light-stage capture (Relightable Full-Body Gaussian Codec Avatars).
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include "effigy/body/losses.h"
+#include "effigy/body/model.h"
+#include "effigy/body/moments.h"
+#include "effigy/body/train_settings.h"
+#include "effigy/capture/stage_capture.h"
+
+namespace effigy {
+
+// Thrown by step() when the loss is not finite or many times what it was.
+class Diverged : public Error {
+ public:
+  using Error::Error;
+};
+
+BodyDrawOptions draw_options(const BodyTrainSettings& settings);
+
+class BodyTrainer {
+ public:
+  // Keeps a reference to `capture`. Throws Error when the capture has nothing to train on.
+  BodyTrainer(const StageCapture& capture, const BodyTrainSettings& settings);
+  ~BodyTrainer();
+
+  int64_t iteration() const;
+  // One iteration on the next views of the shuffled order. Mean losses of the batch.
+  BodyLossValues step();
+  // After going back to a checkpoint: other views from here on.
+  void change_order();
+
+  const BodyTrainSettings& settings() const;
+  // For drawing between steps; the moments are the training's.
+  BodyModel& model();
+  StageMoments& moments();
+  const std::vector<CameraColour>& camera_colours() const;
+
+  // Everything needed to go on bit for bit. Loading checks that the checkpoint belongs to this
+  // capture and these settings.
+  void save_checkpoint(const Path& path) const;
+  void load_checkpoint(const Path& path);
+
+ private:
+  struct State;
+  std::unique_ptr<State> state_;
+};
+
+}  // namespace effigy

@@ -1,0 +1,60 @@
+// Internals of BodyTrainer: what one iteration reads and writes.
+#pragma once
+
+#include <array>
+#include <deque>
+#include <utility>
+#include <vector>
+
+#include "effigy/body/trainer.h"
+#include "effigy/body/view.h"
+#include "effigy/learn/adam.h"
+
+namespace effigy {
+
+struct BodyTrainer::State {
+  State(const StageCapture& capture_in, const BodyTrainSettings& settings_in);
+
+  const StageCapture& capture;
+  BodyTrainSettings settings;
+  BodyModel model;
+  StageMoments moments;
+  BodyDrawOptions options;
+  std::vector<int> frames, cameras;  // of training
+  std::vector<CameraColour> colours;
+
+  std::vector<AdamState> networks;  // in the order of BodyNetworks::parameters()
+  AdamState albedo, roughness;
+  std::vector<AdamState> colour_states;
+  int64_t iteration = 0, order = 0;  // order: changed after an explosion
+  std::deque<float> recent;
+
+  // Of one step.
+  BodyView view;
+  BodyPicture picture;
+  BodyImageGradients d_image;
+  BodySurfaceGradients d_surface;
+  BodyMaps d_maps;
+  std::vector<float> d_decoded, d_diffuse, scaled;
+  std::vector<std::array<double, 6>> d_colours;
+
+  size_t views() const { return frames.size() * cameras.size(); }
+  std::pair<int, int> view_at(int64_t position);
+  double rate_factor() const;
+  double normal_weight() const;
+  double total(const BodyLossValues& values) const;
+  void draw_view(int64_t position, BodyLossValues& mean);
+  void update_networks();
+  void update_maps();
+  void update_colours();
+  // What a new model needs to know before it is trained.
+  void prepare_model();
+  BodyLossValues step();
+  void forget_order() { epoch_ = -1; }
+
+ private:
+  int64_t epoch_ = -1;
+  std::vector<size_t> permutation_;
+};
+
+}  // namespace effigy
