@@ -157,6 +157,8 @@ TEST(Irradiance, ABlockerHidesOneOfTwoLights) {
   lights.lights[1].intensity = Vec3f(0, 0, 1);
   const float green = luminance(0, 1, 0), blue = luminance(0, 0, 1);
   EXPECT_NEAR(body.points(lights, 2)[0], blue / (green + blue), 1e-6);
+  // What stands behind a light hides nothing.
+  EXPECT_EQ(body.points(one(Vec3f(1.5f, 0, 1)), 1)[0], 1.0f);
 }
 
 TEST(Irradiance, FalloffWeighsNearLightsMore) {
