@@ -42,11 +42,10 @@ std::vector<float> pack(const std::vector<CameraColour>& colours) {
 void BodyTrainer::save_checkpoint(const Path& path) const {
   State& s = *state_;
   TensorFile file;
-  file.metadata = {{"format", "effigy-checkpoint"},
-                   {"capture", fingerprint(s.capture)},
-                   {"settings", to_json(s.settings).dump()},
-                   {"iteration", std::to_string(s.iteration)},
-                   {"order", std::to_string(s.order)}};
+  file.metadata = {
+      {"format", "effigy-checkpoint"},          {"capture", fingerprint(s.capture)},
+      {"settings", to_json(s.settings).dump()}, {"iteration", std::to_string(s.iteration)},
+      {"order", std::to_string(s.order)},       {"view", std::to_string(s.views->number())}};
   s.model.save(file);
   const std::vector<BodyParameter> parameters = s.model.networks().parameters();
   for (size_t p = 0; p < parameters.size(); ++p)
@@ -96,7 +95,7 @@ void BodyTrainer::load_checkpoint(const Path& path) {
   s.recent.assign(recent.begin(), recent.end());
   s.iteration = std::strtoll(meta("iteration").c_str(), nullptr, 10);
   s.order = std::strtoll(meta("order").c_str(), nullptr, 10);
-  s.forget_order();
+  s.go_to(std::strtoull(meta("view").c_str(), nullptr, 10));
 }
 
 }  // namespace effigy

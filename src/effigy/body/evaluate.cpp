@@ -6,10 +6,15 @@
 #include "effigy/image/metrics.h"
 
 namespace effigy {
+namespace {
 
-std::vector<StageView> stage_views(const std::vector<int>& frames, const std::vector<int>& cameras,
-                                   size_t most) {
-  std::vector<StageView> views;
+constexpr int kBorder = 4;  // pixels kept around the body
+
+}  // namespace
+
+std::vector<StageViewKey> scored_views(const std::vector<int>& frames,
+                                       const std::vector<int>& cameras, size_t most) {
+  std::vector<StageViewKey> views;
   const size_t all = frames.size() * cameras.size();
   if (most == 0 || most >= all) {
     for (const int frame : frames)
@@ -34,29 +39,32 @@ BodyScore mean_score(const std::vector<BodyScore>& scores) {
   return mean;
 }
 
-BodyViewer::BodyViewer(const StageCapture& capture, const BodyTrainSettings& settings,
-                       BodyModel& model, StageMoments& moments)
-    : capture_(capture), settings_(settings), model_(model), moments_(moments) {}
+BodyViewer::BodyViewer(const BodyTrainSettings& settings, BodyModel& model, StageMoments& moments)
+    : settings_(settings), model_(model), moments_(moments) {}
 
-DrawnView BodyViewer::draw(const StageView& view) {
+DrawnView BodyViewer::draw(const StageViewKey& view) {
   return draw_in_light_of(view, view.frame);
 }
 
-DrawnView BodyViewer::draw_in_light_of(const StageView& view, int frame_of_light) {
-  Random unused(0, 0);
-  target_ = load_body_view(capture_, view.frame, view.camera, 0, unused);
-  const auto light = moments_.light(frame_of_light);
-  model_.pose(moments_.moment(view.frame, frame_of_light));
-  model_.look(target_.camera.center().cast<float>());
-  picture_.draw(target_.camera, model_.surface(), *light, draw_options(settings_));
+DrawnView BodyViewer::draw_in_light_of(const StageViewKey& key, int frame_of_light) {
+  const StageSource& source = moments_.source();
+  view_ = source.view(key, {0, kBorder, 0});
+  const StageMoment lit_as =
+      frame_of_light == key.frame ? *view_.moment : source.moment(frame_of_light);
+  const auto light = moments_.light(lit_as);
+  model_.pose(moments_.moment(*view_.moment, lit_as));
+  model_.look(view_.view.center().cast<float>());
+  picture_.draw(view_.view, model_.surface(), *light, draw_options(settings_));
+  BodyTarget target;
+  target.display = source.capture().display;
   Planes encoded;
-  body_display(picture_, {}, target_.target, encoded);
+  body_display(picture_, {}, target, encoded);
   DrawnView out;
-  out.view = view;
+  out.view = key;
   out.drawn = to_float(to_8bit(to_image(encoded)));
-  out.truth = to_image(target_.target.image);
+  out.truth = to_image(view_.image);
   out.mask = Image(encoded.width, encoded.height, 1);
-  out.mask.data = target_.target.mask;
+  out.mask.data = view_.mask;
   return out;
 }
 

@@ -6,18 +6,15 @@
 
 #include "effigy/body/model.h"
 #include "effigy/body/moments.h"
+#include "effigy/body/stage_views.h"
 #include "effigy/body/train_settings.h"
-#include "effigy/body/view.h"
 #include "effigy/image/image.h"
 
 namespace effigy {
 
-struct StageView {
-  int frame = 0, camera = 0;
-};
 // Frames of a split seen by cameras; at most `most`, spread over both.
-std::vector<StageView> stage_views(const std::vector<int>& frames, const std::vector<int>& cameras,
-                                   size_t most);
+std::vector<StageViewKey> scored_views(const std::vector<int>& frames,
+                                       const std::vector<int>& cameras, size_t most);
 
 struct BodyScore {
   double psnr = 0, ssim = 0, flip = 0;
@@ -27,29 +24,27 @@ BodyScore mean_score(const std::vector<BodyScore>& scores);
 
 // One view, drawn and true: display-encoded, 8-bit values, cropped to the body.
 struct DrawnView {
-  StageView view;
+  StageViewKey view;
   Image drawn, truth, mask;
 };
 // Poses the model by the capture's tracking and draws; no camera's own colour is used.
 class BodyViewer {
  public:
   // Keeps references.
-  BodyViewer(const StageCapture& capture, const BodyTrainSettings& settings, BodyModel& model,
-             StageMoments& moments);
-  DrawnView draw(const StageView& view);
+  BodyViewer(const BodyTrainSettings& settings, BodyModel& model, StageMoments& moments);
+  DrawnView draw(const StageViewKey& view);
   // The same view left in the light of `frame_of_light` (its shadows too).
-  DrawnView draw_in_light_of(const StageView& view, int frame_of_light);
+  DrawnView draw_in_light_of(const StageViewKey& view, int frame_of_light);
   // Of the last draw.
   const BodyPicture& picture() const { return picture_; }
-  const BodyView& target() const { return target_; }
+  const StageView& view() const { return view_; }
 
  private:
-  const StageCapture& capture_;
   const BodyTrainSettings& settings_;
   BodyModel& model_;
   StageMoments& moments_;
   BodyPicture picture_;
-  BodyView target_;
+  StageView view_;
 };
 
 BodyScore score_of(const DrawnView& view);

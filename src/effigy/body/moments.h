@@ -10,46 +10,38 @@
 #include "effigy/body/draw.h"
 #include "effigy/body/irradiance.h"
 #include "effigy/body/moment.h"
+#include "effigy/body/stage_views.h"
 #include "effigy/body/train_settings.h"
-#include "effigy/capture/stage_capture.h"
 
 namespace effigy {
 
-// The light of a group of lamps, as strengths at the stage's middle: Irradiance there of each is
-// intensity / distance^2.
-PointLights stage_points(const std::vector<StageLight>& lights, bool falloff);
-// The same lamps as if far away: each in the texel of its direction from the stage's middle.
-Cubemap stage_environment(const std::vector<StageLight>& lights, int size);
+// Lamps as if far away: each in the texel of its direction from the stage's middle.
+Cubemap stage_environment(const PointLights& lamps, int size);
 
 class StageMoments {
  public:
   // shadow_texels: BodyModel::shadow_texels(). Keeps references to both.
-  StageMoments(const StageCapture& capture, const UvTexels& shadow_texels,
+  StageMoments(const StageSource& source, const UvTexels& shadow_texels,
                const BodyTrainSettings& settings);
 
-  // In root frames.
-  struct Keypoints {
-    std::vector<float> body, face;
-  };
-  Keypoints keypoints(int frame) const;
-  // Loads the frame's mesh; finds its irradiance when it is first asked for. Throws Error naming
-  // the file.
-  BodyMoment moment(int frame) { return moment(frame, frame); }
+  // What the networks are told. Irradiance is found when it is first asked for.
+  BodyMoment moment(const StageMoment& at) { return moment(at, at); }
   // As lit by the light of another frame.
-  BodyMoment moment(int frame, int frame_of_light);
-  // Shared by frames with the same light where that pays (environments).
-  std::shared_ptr<const BodyLight> light(int frame);
+  BodyMoment moment(const StageMoment& at, const StageMoment& lit_as);
+  // Shared by frames with the same environment.
+  std::shared_ptr<const BodyLight> light(const StageMoment& at);
   // The mesh of the last moment(), for rays.
   const RayScene& rays() const { return *rays_; }
+  const StageSource& source() const { return source_; }
 
   // Mean irradiance picture over some of the frames: what the shadow network subtracts.
   std::vector<float> mean_irradiance(const std::vector<int>& frames);
 
  private:
-  const std::vector<float>& irradiance(int frame, int frame_of_light,
-                                       const std::vector<float>& vertices);
+  const std::vector<float>& irradiance(const StageMoment& at, const StageMoment& lit_as);
+  PointLights points(const StageMoment& at) const;
 
-  const StageCapture& capture_;
+  const StageSource& source_;
   const UvTexels& texels_;
   BodyTrainSettings settings_;
   TexelIrradiance irradiance_;

@@ -85,7 +85,8 @@ void add_view(const StageCapture& capture, int camera, int frame, const BodyMode
 
 }  // namespace
 
-void start_albedo(const StageCapture& capture, StageMoments& moments, BodyModel& model) {
+void start_albedo(StageMoments& moments, BodyModel& model) {
+  const StageCapture& capture = moments.source().capture();
   std::vector<int> frames;
   for (const int f : capture.frames_of(StageSplit::kTrain))
     if (capture.frames[static_cast<size_t>(f)].fully_lit) frames.push_back(f);
@@ -93,8 +94,9 @@ void start_albedo(const StageCapture& capture, StageMoments& moments, BodyModel&
   const size_t n = model.texels().count();
   Fit fit{std::vector<double>(3 * n), std::vector<double>(3 * n)};
   for (const int frame : spread(frames, kFrames)) {
-    model.pose(moments.moment(frame));
-    const std::vector<float> shade = shade_of(model, *moments.light(frame));
+    const StageMoment at = moments.source().moment(frame);
+    model.pose(moments.moment(at));
+    const std::vector<float> shade = shade_of(model, *moments.light(at));
     for (const int camera : spread(capture.train_cameras(), kCameras))
       add_view(capture, camera, frame, model, moments.rays(), shade, fit);
   }

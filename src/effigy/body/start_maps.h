@@ -9,6 +9,6 @@ namespace effigy {
 // Least squares over fully lit training frames (others where there are none) and training cameras
 // of image = albedo * what the untrained model shows of an albedo of 1, at texels that the camera
 // sees. Texels that none sees get the median. The model must be untrained.
-void start_albedo(const StageCapture& capture, StageMoments& moments, BodyModel& model);
+void start_albedo(StageMoments& moments, BodyModel& model);
 
 }  // namespace effigy

@@ -31,7 +31,7 @@ class BodyTrainRun {
     if (frames.empty()) frames = capture.frames_of(StageSplit::kLights);
     std::vector<int> cameras = capture.test_cameras();
     if (cameras.empty()) cameras = capture.train_cameras();
-    if (!frames.empty()) held_out_ = stage_views(frames, cameras, kHeldOutViews);
+    if (!frames.empty()) held_out_ = scored_views(frames, cameras, kHeldOutViews);
     if (!options.resume) return;
     trainer_.load_checkpoint(checkpoint_path());
     if (std::filesystem::exists(progress_path())) {
@@ -96,9 +96,9 @@ class BodyTrainRun {
 
   double held_out_psnr() {
     trainer_.model().networks().set_training(false);
-    BodyViewer viewer(capture_, trainer_.settings(), trainer_.model(), trainer_.moments());
+    BodyViewer viewer(trainer_.settings(), trainer_.model(), trainer_.moments());
     std::vector<BodyScore> scores;
-    for (const StageView& view : held_out_) scores.push_back(score_of(viewer.draw(view)));
+    for (const StageViewKey& view : held_out_) scores.push_back(score_of(viewer.draw(view)));
     trainer_.model().networks().set_training(true);
     return mean_score(scores).psnr;
   }
@@ -163,7 +163,7 @@ class BodyTrainRun {
   BodyTrainOptions options_;
   BodyTrainer trainer_;
   TrainingCurve curve_;
-  std::vector<StageView> held_out_;
+  std::vector<StageViewKey> held_out_;
   std::chrono::steady_clock::time_point begin_ = std::chrono::steady_clock::now();
   double seconds_before_ = 0;
   int returns_ = 0;

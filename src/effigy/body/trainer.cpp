@@ -4,24 +4,27 @@
 #include <cmath>
 #include <numeric>
 
-#include "effigy/base/random.h"
 #include "effigy/body/start_maps.h"
 #include "effigy/body/trainer_state.h"
 
 namespace effigy {
 namespace {
 
+constexpr size_t kScaleFrames = 512;  // that keypoints are measured in
+constexpr int kBorder = 8;            // pixels around the body, where Gaussians must not be
+constexpr uint64_t kOrderSeeds = 0x9e3779b97f4a7c15;
 constexpr size_t kRecent = 32;  // losses that an explosion is measured against
 constexpr AdamSettings kAdam{0.9f, 0.999f, 1e-8f};
-enum RandomStream : uint64_t { kViewOrder = 11, kCrop = 12 };
 
 // Statistics of keypoints in root frames over the training frames.
-void scale_keypoints(const StageCapture& capture, StageMoments& moments, BodyNetworks& networks) {
+void scale_keypoints(const StageSource& source, BodyNetworks& networks) {
   std::vector<float> body, face;
-  for (const int frame : capture.frames_of(StageSplit::kTrain)) {
-    const StageMoments::Keypoints keypoints = moments.keypoints(frame);
-    body.insert(body.end(), keypoints.body.begin(), keypoints.body.end());
-    face.insert(face.end(), keypoints.face.begin(), keypoints.face.end());
+  const std::vector<int> frames = source.capture().frames_of(StageSplit::kTrain);
+  const size_t count = std::min(frames.size(), kScaleFrames);
+  for (size_t k = 0; k < count; ++k) {
+    const StageMoment moment = source.moment(frames[k * frames.size() / count]);
+    body.insert(body.end(), moment.body_keypoints.begin(), moment.body_keypoints.end());
+    face.insert(face.end(), moment.face_keypoints.begin(), moment.face_keypoints.end());
   }
   const BodyNetworkSettings& s = networks.settings();
   networks.set_keypoint_scale(keypoint_scale(body, s.body_keypoints),
@@ -47,9 +50,10 @@ BodyDrawOptions draw_options(const BodyTrainSettings& settings) {
 
 BodyTrainer::State::State(const StageCapture& capture_in, const BodyTrainSettings& settings_in)
     : capture(capture_in),
+      source(capture_in),
       settings(settings_in),
       model(capture_in.rig.mesh, network_settings(capture_in, settings_in), settings_in.seed),
-      moments(capture_in, model.shadow_texels(), settings_in),
+      moments(source, model.shadow_texels(), settings_in),
       options(draw_options(settings_in)),
       frames(capture_in.frames_of(StageSplit::kTrain)),
       cameras(capture_in.train_cameras()),
@@ -59,14 +63,15 @@ BodyTrainer::State::State(const StageCapture& capture_in, const BodyTrainSetting
                 ": the capture has no training frames or no training cameras; mark some in "
                 "capture.json.");
   prepare_model();
-  scale_keypoints(capture, moments, model.networks());
+  scale_keypoints(source, model.networks());
   if (settings.shadow) model.networks().set_mean_irradiance(moments.mean_irradiance(frames));
-  if (settings.start_from_frames) start_albedo(capture, moments, model);
+  if (settings.start_from_frames) start_albedo(moments, model);
   for (const BodyParameter& parameter : model.networks().parameters())
     networks.emplace_back(parameter.value.size());
   albedo = AdamState(model.maps().albedo.size());
   roughness = AdamState(model.maps().log_roughness.size());
   colour_states.assign(colours.size(), AdamState(6));
+  go_to(0);
 }
 
 void BodyTrainer::State::prepare_model() {
@@ -74,21 +79,12 @@ void BodyTrainer::State::prepare_model() {
   model.networks().set_training(true);
 }
 
-// Views come in a new random order each epoch; it depends on seed, epoch and `order` only.
-std::pair<int, int> BodyTrainer::State::view_at(int64_t position) {
-  const int64_t epoch = position / static_cast<int64_t>(views());
-  if (epoch != epoch_ || permutation_.empty()) {
-    permutation_.resize(views());
-    std::iota(permutation_.begin(), permutation_.end(), size_t{0});
-    Random random(settings.seed + 0x51ed2701 * static_cast<uint64_t>(epoch) +
-                      0x9e3779b9 * static_cast<uint64_t>(order),
-                  kViewOrder);
-    for (size_t i = permutation_.size(); i > 1; --i)
-      std::swap(permutation_[i - 1], permutation_[random.below(i)]);
-    epoch_ = epoch;
-  }
-  const size_t chosen = permutation_[static_cast<size_t>(position) % views()];
-  return {frames[chosen / cameras.size()], cameras[chosen % cameras.size()]};
+// Another order after every explosion; each depends on the seed and how many there were.
+void BodyTrainer::State::go_to(uint64_t number) {
+  const uint64_t seed = settings.seed + kOrderSeeds * static_cast<uint64_t>(order);
+  StageViewsOptions ahead;
+  ahead.crop = {settings.crop, kBorder, seed};
+  views.emplace(source, StageSchedule::random(frames, cameras, seed), ahead, number);
 }
 
 double BodyTrainer::State::rate_factor() const {
@@ -124,18 +120,20 @@ double BodyTrainer::State::total(const BodyLossValues& values) const {
 }
 
 // Draws one view and adds its gradients; losses are added as part of the batch's mean.
-void BodyTrainer::State::draw_view(int64_t position, BodyLossValues& mean) {
-  const auto [frame, camera] = view_at(position);
-  Random random(settings.seed + 0x2545f491 * static_cast<uint64_t>(position), kCrop);
-  view = load_body_view(capture, frame, camera, settings.crop, random);
-  const auto light = moments.light(frame);
-  model.pose(moments.moment(frame));
-  model.look(view.camera.center().cast<float>());
+void BodyTrainer::State::draw_view(BodyLossValues& mean) {
+  view = *views->next();
+  target.image = std::move(view.image);
+  target.mask = std::move(view.mask);
+  target.display = capture.display;
+  const int camera = view.camera;
+  const auto light = moments.light(*view.moment);
+  model.pose(moments.moment(*view.moment));
+  model.look(view.view.center().cast<float>());
   const BodySurface& surface = model.surface();
-  picture.draw(view.camera, surface, *light, options);
+  picture.draw(view.view, surface, *light, options);
 
   const CameraColour& colour = colours[static_cast<size_t>(camera)];
-  BodyLossValues values = body_image_losses(settings, view.target, colour, picture, d_image);
+  BodyLossValues values = body_image_losses(settings, target, colour, picture, d_image);
   const size_t n = surface.count();
   d_surface.clear(n);
   d_decoded.assign(n * GaussianChannels::kCount, 0.0f);
@@ -143,7 +141,7 @@ void BodyTrainer::State::draw_view(int64_t position, BodyLossValues& mean) {
   values.merge(body_texel_losses(settings, normal_weight(), model.decoded(), surface,
                                  picture.diffuse(), d_decoded, d_surface, d_diffuse));
   if (settings.deferred) values["normal_orient"] = picture.normal_orient();
-  picture.backward(view.camera, surface, *light, options,
+  picture.backward(view.view, surface, *light, options,
                    {&d_image.radiance, d_image.alpha, d_diffuse,
                     static_cast<float>(settings.weights.normal_orient)},
                    d_surface);
@@ -217,7 +215,7 @@ BodyLossValues BodyTrainer::State::step() {
   d_maps.log_roughness.assign(model.maps().log_roughness.size(), 0.0f);
   d_colours.assign(colours.size(), {});
   BodyLossValues mean;
-  for (int b = 0; b < settings.batch; ++b) draw_view(iteration * settings.batch + b, mean);
+  for (int b = 0; b < settings.batch; ++b) draw_view(mean);
   const double loss = total(mean);
   const double before = std::accumulate(recent.begin(), recent.end(), 0.0) /
                         static_cast<double>(std::max<size_t>(recent.size(), 1));
@@ -256,7 +254,7 @@ BodyLossValues BodyTrainer::step() {
 }
 void BodyTrainer::change_order() {
   ++state_->order;
-  state_->forget_order();
+  state_->go_to(state_->views->number());
 }
 const BodyTrainSettings& BodyTrainer::settings() const {
   return state_->settings;

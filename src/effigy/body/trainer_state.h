@@ -3,11 +3,11 @@
 
 #include <array>
 #include <deque>
-#include <utility>
+#include <optional>
 #include <vector>
 
+#include "effigy/body/stage_views.h"
 #include "effigy/body/trainer.h"
-#include "effigy/body/view.h"
 #include "effigy/learn/adam.h"
 
 namespace effigy {
@@ -16,6 +16,7 @@ struct BodyTrainer::State {
   State(const StageCapture& capture_in, const BodyTrainSettings& settings_in);
 
   const StageCapture& capture;
+  StageSource source;
   BodyTrainSettings settings;
   BodyModel model;
   StageMoments moments;
@@ -30,7 +31,8 @@ struct BodyTrainer::State {
   std::deque<float> recent;
 
   // Of one step.
-  BodyView view;
+  StageView view;
+  BodyTarget target;
   BodyPicture picture;
   BodyImageGradients d_image;
   BodySurfaceGradients d_surface;
@@ -38,23 +40,19 @@ struct BodyTrainer::State {
   std::vector<float> d_decoded, d_diffuse, scaled;
   std::vector<std::array<double, 6>> d_colours;
 
-  size_t views() const { return frames.size() * cameras.size(); }
-  std::pair<int, int> view_at(int64_t position);
+  std::optional<StageViews> views;  // decoded ahead
   double rate_factor() const;
   double normal_weight() const;
   double total(const BodyLossValues& values) const;
-  void draw_view(int64_t position, BodyLossValues& mean);
+  // Views from this one of the present order on.
+  void go_to(uint64_t number);
+  void draw_view(BodyLossValues& mean);
   void update_networks();
   void update_maps();
   void update_colours();
   // What a new model needs to know before it is trained.
   void prepare_model();
   BodyLossValues step();
-  void forget_order() { epoch_ = -1; }
-
- private:
-  int64_t epoch_ = -1;
-  std::vector<size_t> permutation_;
 };
 
 }  // namespace effigy

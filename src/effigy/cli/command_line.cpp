@@ -52,6 +52,19 @@ std::vector<double> parse_numbers(const std::string& text, size_t count,
   return numbers;
 }
 
+Json parse_assignments(const std::vector<std::string>& assignments) {
+  Json values = Json::object();
+  for (const std::string& assignment : assignments) {
+    const size_t equals = assignment.find('=');
+    if (equals == std::string::npos)
+      throw Error("--set wants name=value, not '" + assignment + "'.");
+    const std::string value = assignment.substr(equals + 1);
+    const Json parsed = Json::parse(value, nullptr, false);
+    values[assignment.substr(0, equals)] = parsed.is_discarded() ? Json(value) : parsed;
+  }
+  return values;
+}
+
 void print_json(const Json& value) {
   std::printf("%s\n", value.dump(2, ' ', false, Json::error_handler_t::replace).c_str());
 }

@@ -5,6 +5,7 @@
 #include <array>
 #include <cstdint>
 #include <string>
+#include <vector>
 
 #include "effigy/base/json.h"
 
@@ -24,6 +25,9 @@ bool parse_command_line(CLI::App& app, int argc, char** argv, const CommonOption
 
 // "x,y,z,..." as exactly `count` finite numbers; throws Error naming `option`.
 std::vector<double> parse_numbers(const std::string& text, size_t count, const std::string& option);
+
+// "name=value" each, values as JSON or, where they are none, as text; throws Error for others.
+Json parse_assignments(const std::vector<std::string>& assignments);
 
 // Results for machines on standard output.
 void print_json(const Json& value);

@@ -1,18 +1,33 @@
 // effigy train: a capture becomes an avatar.
 
 #include "effigy/base/log.h"
-#include "effigy/capture/capture.h"
+#include "effigy/capture/stage_capture.h"
 #include "effigy/cli/command_line.h"
 #include "effigy/cli/commands.h"
+#include "effigy/cli/program.h"
 #include "effigy/head/trainer.h"
 
 namespace effigy {
 
+namespace {
+
+// Whether one of the arguments is the folder of a body capture.
+bool names_body_capture(int argc, char** argv) {
+  for (int k = 1; k < argc; ++k)
+    if (std::filesystem::exists(Path(argv[k]) / "capture.json"))
+      return capture_kind(argv[k]) == "body";
+  return false;
+}
+
+}  // namespace
+
 int run_train(int argc, char** argv) {
+  if (names_body_capture(argc, argv)) return hand_over(argc, argv);
   CLI::App app(
       "Trains an avatar on a capture. Presets: quick (minutes), standard (about an hour), paper "
       "(the\n"
-      "paper's length). A run that was interrupted goes on with --resume, bit for bit.\n\n"
+      "paper's length). A run that was interrupted goes on with --resume, bit for bit. Options of\n"
+      "light-stage captures of bodies: effigy train CAPTURE --help.\n\n"
       "example: effigy train anna-capture -o anna --preset quick",
       "train");
   std::string capture_path, output, preset = "standard", settings_file;
@@ -41,15 +56,7 @@ int run_train(int argc, char** argv) {
   if (paper_literal) settings.make_paper_literal();
   settings.seed = common.seed;
   if (!settings_file.empty()) from_json_checked(read_json(settings_file), settings_file, settings);
-  Json overrides = Json::object();
-  for (const std::string& assignment : assignments) {
-    const size_t equals = assignment.find('=');
-    if (equals == std::string::npos)
-      throw Error("--set wants name=value, not '" + assignment + "'.");
-    const std::string value = assignment.substr(equals + 1);
-    const Json parsed = Json::parse(value, nullptr, false);
-    overrides[assignment.substr(0, equals)] = parsed.is_discarded() ? Json(value) : parsed;
-  }
+  Json overrides = parse_assignments(assignments);
   if (iterations != 0) overrides["iterations"] = iterations;
   if (surfels != 0) overrides["surfels"] = surfels;
   if (texture_size != 0) overrides["texture_size"] = texture_size;

@@ -1,0 +1,58 @@
+// effigy train for bodies: a light-stage capture becomes an avatar (in effigy-learn).
+
+#include "effigy/base/log.h"
+#include "effigy/body/train_run.h"
+#include "effigy/cli/command_line.h"
+#include "effigy/cli/commands.h"
+
+namespace effigy {
+
+int run_train_body(int argc, char** argv) {
+  CLI::App app(
+      "Trains a body avatar on a light-stage capture. Presets: quick (networks tiny, minutes),\n"
+      "standard (small, under two hours), paper (full, as long as the paper). A run that was\n"
+      "interrupted goes on with --resume, bit for bit.\n\n"
+      "example: effigy train stage-capture -o body --preset quick",
+      "train");
+  std::string capture_path, output, preset = "standard", settings_file, size;
+  std::vector<std::string> assignments;
+  bool paper_literal = false;
+  int iterations = 0, batch = 0, crop = 0;
+  BodyTrainOptions options;
+  CommonOptions common;
+  app.add_option("CAPTURE", capture_path, "Capture folder")->required();
+  app.add_option("-o,--output", output, "Avatar folder to write")->required();
+  app.add_option("--preset", preset, "quick, standard (default) or paper");
+  app.add_flag("--paper-literal", paper_literal,
+               "Every setting of docs/decisions.md on the paper's side");
+  app.add_option("--size", size, "Of the networks: tiny, small or full (default: the preset's)");
+  app.add_option("--iterations", iterations, "Override the preset's number of iterations");
+  app.add_option("--batch", batch, "Override the preset's views a step");
+  app.add_option("--crop", crop, "Train on random squares of so many pixels");
+  app.add_option("--settings", settings_file, "JSON file of settings (docs/body-training.md)");
+  app.add_option("--set", assignments, "name=value of one setting; repeatable");
+  app.add_flag("--resume", options.resume, "Go on from AVATAR's checkpoint");
+  app.add_option("--consent", options.consent,
+                 "What the person agreed to; recorded in avatar.json (default: the capture's)");
+  add_common(app, common, true, true);
+  if (!parse_command_line(app, argc, argv, common)) return 0;
+
+  BodyTrainSettings settings = BodyTrainSettings::from_preset(preset);
+  if (paper_literal) settings.make_paper_literal();
+  settings.seed = common.seed;
+  if (!settings_file.empty()) from_json_checked(read_json(settings_file), settings_file, settings);
+  Json overrides = parse_assignments(assignments);
+  if (!size.empty()) overrides["size"] = size;
+  if (iterations != 0) overrides["iterations"] = iterations;
+  if (batch != 0) overrides["batch"] = batch;
+  if (crop != 0) overrides["crop"] = crop;
+  from_json_checked(overrides, "command line", settings);
+
+  const StageCapture capture = read_stage_capture(capture_path);
+  const Json result = train_body(capture, settings, output, options);
+  if (common.json) print_json(result);
+  log_info("wrote " + output);
+  return 0;
+}
+
+}  // namespace effigy
