@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "effigy/avatar/kind.h"
 #include "effigy/avatar/textures.h"
 #include "effigy/base/safetensors.h"
 #include "effigy/image/files.h"
@@ -124,16 +125,8 @@ void write_track(const Path& path, const Track& track, const Rig& rig) {
 
 HeadAvatar read_head_avatar(const Path& folder) {
   const Path file = folder / "avatar.json";
-  if (!std::filesystem::exists(file))
-    throw Error(folder.string() +
-                ": not an avatar (avatar.json is missing); make one with 'effigy train CAPTURE -o "
-                "AVATAR'.");
   HeadAvatar avatar;
-  avatar.info = read_json(file);
-  const int version = json_field<int>(avatar.info, "version", file);
-  if (version != kFormatVersion)
-    throw Error(file.string() + ": field 'version' is " + std::to_string(version) +
-                ", this program reads version 1; update Effigy or train again.");
+  avatar.info = read_avatar_json(folder);
   const auto kind = json_field<std::string>(avatar.info, "kind", file);
   if (kind != "head")
     throw Error(file.string() + ": field 'kind' is '" + kind + "', a head avatar is needed here.");

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "effigy/avatar/kind.h"
 #include "effigy/base/error.h"
 #include "effigy/geometry/gutter.h"
 #include "effigy/image/colour.h"
@@ -14,20 +15,6 @@ namespace effigy {
 namespace {
 
 constexpr int kFormatVersion = 1;
-
-Json avatar_json(const Path& folder) {
-  const Path file = folder / "avatar.json";
-  if (!std::filesystem::exists(file))
-    throw Error(folder.string() +
-                ": not an avatar (avatar.json is missing); make one with 'effigy train CAPTURE -o "
-                "AVATAR'.");
-  Json info = read_json(file);
-  const int version = json_field<int>(info, "version", file);
-  if (version != kFormatVersion)
-    throw Error(file.string() + ": field 'version' is " + std::to_string(version) +
-                ", this program reads version 1; update Effigy or train again.");
-  return info;
-}
 
 Json camera_json(const Camera& camera) {
   Json rotation = Json::array(), translation = Json::array();
@@ -109,18 +96,9 @@ void from_images(const BodyMapImages& images, const UvTexels& texels, BodyMaps& 
   }
 }
 
-std::string avatar_kind(const Path& folder) {
-  const Json info = avatar_json(folder);
-  const auto kind = json_field<std::string>(info, "kind", folder / "avatar.json");
-  if (kind != "head" && kind != "body")
-    throw Error((folder / "avatar.json").string() + ": field 'kind' must be head or body, not '" +
-                kind + "'; correct it.");
-  return kind;
-}
-
 BodyAvatar read_body_avatar(const Path& folder) {
   const Path file = folder / "avatar.json";
-  Json info = avatar_json(folder);
+  Json info = read_avatar_json(folder);
   const auto kind = json_field<std::string>(info, "kind", file);
   if (kind != "body")
     throw Error(file.string() + ": field 'kind' is '" + kind + "', a body avatar is needed here.");

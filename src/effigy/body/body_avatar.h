@@ -28,9 +28,6 @@ struct BodyAvatar {
 BodyAvatar read_body_avatar(const Path& folder);
 // Everything but what `model` and `driver` refer to is small: writes the whole folder.
 void write_body_avatar(const BodyAvatar& avatar, const Path& folder);
-// "head" or "body": the kind of the avatar in a folder. Throws Error when it is none.
-std::string avatar_kind(const Path& folder);
-
 // Albedo (sRGB-encoded, 3 channels) and roughness (the lobe's width in radians, 1 channel) as
 // pictures with their gutters filled, and back. Pictures of another size are resampled.
 struct BodyMapImages {

@@ -30,6 +30,7 @@ class BodyModel {
   void save(TensorFile& file) const;
 
   BodyNetworks& networks() { return networks_; }
+  const BodyNetworks& networks() const { return networks_; }
   const UvTexels& texels() const { return texels_; }
   // Texels of the shadow network's picture.
   const UvTexels& shadow_texels() const { return shadow_texels_; }

@@ -6,6 +6,7 @@
 #include "effigy/cli/command_line.h"
 #include "effigy/cli/commands.h"
 #include "effigy/cli/eval.h"
+#include "effigy/cli/family.h"
 #include "effigy/cli/program.h"
 
 namespace effigy {
@@ -23,6 +24,19 @@ std::string distances_line(const FrameScore& mean, const std::string& net) {
 }
 
 }  // namespace
+
+void add_perceptual_options(CLI::App& app, PerceptualOptions& perceptual) {
+  app.add_option("--models", perceptual.models,
+                 "Folder with perceptual weights (default: $EFFIGY_DATA/perceptual)");
+  app.add_option("--lpips", perceptual.lpips,
+                 "Network of LPIPS: vgg, alex, squeeze or none (default: the first whose files are "
+                 "there)")
+      ->check(CLI::IsMember({"auto", "vgg", "alex", "squeeze", "none"}));
+  app.add_option("--lpips-backbone", perceptual.backbone,
+                 "torchvision's weights for --lpips, a .pth file");
+  app.add_option("--lpips-heads", perceptual.heads,
+                 "The lpips package's heads for --lpips, a .pth file");
+}
 
 int evaluate_command(int argc, char** argv, const DistanceSource& source) {
   CLI::App app(
@@ -52,16 +66,7 @@ int evaluate_command(int argc, char** argv, const DistanceSource& source) {
   app.add_option("--light", options.lights,
                  "Lights of the report's relit rows (names or HDR/EXR files)")
       ->delimiter(',');
-  app.add_option("--models", perceptual.models,
-                 "Folder with perceptual weights (default: $EFFIGY_DATA/perceptual)");
-  app.add_option("--lpips", perceptual.lpips,
-                 "Network of LPIPS: vgg, alex, squeeze or none (default: the first whose files are "
-                 "there)")
-      ->check(CLI::IsMember({"auto", "vgg", "alex", "squeeze", "none"}));
-  app.add_option("--lpips-backbone", perceptual.backbone,
-                 "torchvision's weights for --lpips, a .pth file");
-  app.add_option("--lpips-heads", perceptual.heads,
-                 "The lpips package's heads for --lpips, a .pth file");
+  add_perceptual_options(app, perceptual);
   add_common(app, common, false, true);
   if (!parse_command_line(app, argc, argv, common)) return 0;
   options.refined = protocol == "all" || protocol == "refined";
@@ -99,6 +104,7 @@ int evaluate_command(int argc, char** argv, const DistanceSource& source) {
 }
 
 int run_eval(int argc, char** argv) {
+  if (names_avatar(argc, argv, "body")) return hand_over(argc, argv);
   return evaluate_command(argc, argv, {});
 }
 

@@ -2,6 +2,7 @@
 // distances.
 #pragma once
 
+#include <CLI/CLI.hpp>
 #include <functional>
 
 #include "effigy/cli/evaluation.h"
@@ -11,6 +12,12 @@ namespace effigy {
 
 // The distances that the files make possible.
 using DistanceSource = std::function<PerceptualDistances(const PerceptualFiles& files)>;
+
+// --models, --lpips and the files of it.
+void add_perceptual_options(CLI::App& app, PerceptualOptions& perceptual);
+
+// effigy eval of a body avatar (in effigy-learn).
+int evaluate_body_command(int argc, char** argv, const DistanceSource& source);
 
 // Without a source the command is handed over to effigy-learn when there are such files.
 int evaluate_command(int argc, char** argv, const DistanceSource& source);

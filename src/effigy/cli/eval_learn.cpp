@@ -4,6 +4,7 @@
 
 #include "effigy/cli/commands.h"
 #include "effigy/cli/eval.h"
+#include "effigy/cli/family.h"
 #include "effigy/infer/perceptual.h"
 
 namespace effigy {
@@ -35,6 +36,7 @@ PerceptualDistances distances_of(const PerceptualFiles& files) {
 }  // namespace
 
 int run_eval_learn(int argc, char** argv) {
+  if (names_avatar(argc, argv, "body")) return evaluate_body_command(argc, argv, distances_of);
   return evaluate_command(argc, argv, distances_of);
 }
 

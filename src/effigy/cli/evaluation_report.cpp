@@ -8,6 +8,7 @@
 #include "effigy/base/log.h"
 #include "effigy/cli/evaluation.h"
 #include "effigy/cli/render_settings.h"
+#include "effigy/cli/training_plots.h"
 #include "effigy/image/files.h"
 #include "effigy/report/overlay.h"
 #include "effigy/report/report.h"
@@ -255,53 +256,18 @@ class EvaluationReport {
   void curves() {
     const Path file = folder_ / "training.json";
     if (!std::filesystem::exists(file)) return;
-    const Json training = read_json(file);
     report_.add_heading("Training");
-    LinePlot losses{"Losses", "iteration", "unweighted value", {}, true, false};
-    for (const char* name : {"l1", "dssim", "mask", "normal_consistency", "uv_distortion"}) {
-      Series s{name, {}, {}};
-      for (const Json& entry : training.value("losses", Json::array()))
-        if (entry.contains(name)) {
-          s.xs.push_back(entry.value("iteration", 0.0));
-          s.ys.push_back(entry.value(name, 0.0));
-        }
-      if (!s.xs.empty()) losses.series.push_back(std::move(s));
-    }
-    report_.add_line_plot(losses);
-    LinePlot heldout{"Held-out PSNR (sample of frames)", "iteration", "dB", {}, false, false};
-    Series s{"tracker", {}, {}};
-    for (const Json& entry : training.value("heldout", Json::array())) {
-      s.xs.push_back(entry.value("iteration", 0.0));
-      s.ys.push_back(entry.value("psnr", 0.0));
-    }
-    if (s.xs.size() > 1) {
-      heldout.series.push_back(std::move(s));
-      report_.add_line_plot(heldout);
-    }
-    report_.add_key_values(
-        {{"iterations", std::to_string(training.value("iterations", 0))},
-         {"time", format("{:.0f} s", training.value("seconds", 0.0))},
-         {"rate", format("{:.2f} iterations/s", training.value("iterations_per_second", 0.0))},
-         {"peak memory",
-          format("{:.0f} MiB", training.value("peak_memory_bytes", 0.0) / (1 << 20))},
-         {"threads", std::to_string(training.value("threads", 0))},
-         {"evaluation", format("{:.0f} s", e_.seconds)}});
+    add_training_plots(report_, read_json(file),
+                       {"l1", "dssim", "mask", "normal_consistency", "uv_distortion"}, "tracker",
+                       {{"evaluation", format("{:.0f} s", e_.seconds)}});
   }
 
   void settings() {
     report_.add_heading("Settings and provenance");
-    const Json provenance = avatar_.info.value("provenance", Json::object());
-    std::vector<std::pair<std::string, std::string>> items;
-    for (const char* name : {"source", "licence", "consent", "rig", "rig_licence", "made_by"})
-      items.emplace_back(name, provenance.value(name, std::string("not stated")));
-    items.emplace_back("surfels", std::to_string(avatar_.surfels.count()));
-    items.emplace_back("texture",
-                       format("{} x {}", avatar_.material.width, avatar_.material.height));
-    report_.add_key_values(items);
-    report_.add_code(avatar_.info.value("settings", Json::object()).dump(1));
-    report_.add_note(
-        "All renders on this page are synthetic images of a person. Make and show avatars of real "
-        "people only with their consent.");
+    add_provenance(
+        report_, avatar_.info,
+        {{"surfels", std::to_string(avatar_.surfels.count())},
+         {"texture", format("{} x {}", avatar_.material.width, avatar_.material.height)}});
   }
 
   PrefilteredEnvironment own_light() const {

@@ -1,28 +1,17 @@
 // effigy train: a capture becomes an avatar.
 
 #include "effigy/base/log.h"
-#include "effigy/capture/stage_capture.h"
+#include "effigy/capture/capture.h"
 #include "effigy/cli/command_line.h"
 #include "effigy/cli/commands.h"
+#include "effigy/cli/family.h"
 #include "effigy/cli/program.h"
 #include "effigy/head/trainer.h"
 
 namespace effigy {
 
-namespace {
-
-// Whether one of the arguments is the folder of a body capture.
-bool names_body_capture(int argc, char** argv) {
-  for (int k = 1; k < argc; ++k)
-    if (std::filesystem::exists(Path(argv[k]) / "capture.json"))
-      return capture_kind(argv[k]) == "body";
-  return false;
-}
-
-}  // namespace
-
 int run_train(int argc, char** argv) {
-  if (names_body_capture(argc, argv)) return hand_over(argc, argv);
+  if (names_capture(argc, argv, "body")) return hand_over(argc, argv);
   CLI::App app(
       "Trains an avatar on a capture. Presets: quick (minutes), standard (about an hour), paper "
       "(the\n"

@@ -1,0 +1,171 @@
+#include "effigy/cli/body_evaluation.h"
+
+#include <algorithm>
+#include <chrono>
+
+#include "effigy/base/error.h"
+#include "effigy/base/log.h"
+#include "effigy/base/progress.h"
+#include "effigy/image/metrics.h"
+
+namespace effigy {
+namespace {
+
+constexpr size_t kColourViews = 16;
+
+void check_fits(const BodyAvatar& avatar, const StageCapture& capture) {
+  const BodyNetworkSettings& networks = avatar.model.networks().settings();
+  if (avatar.rig.mesh.triangles != capture.rig.mesh.triangles ||
+      networks.body_keypoints != static_cast<int>(capture.body_keypoint_names.size()) ||
+      networks.face_keypoints != static_cast<int>(capture.face_keypoint_names.size()))
+    throw Error(capture.folder.string() +
+                ": its mesh or keypoints are not those the avatar was trained on; give a capture "
+                "of the same person.");
+}
+
+std::vector<int> partially_lit(const StageCapture& capture, const std::vector<int>& frames) {
+  std::vector<int> out;
+  for (const int frame : frames)
+    if (!capture.frames[static_cast<size_t>(frame)].fully_lit) out.push_back(frame);
+  return out;
+}
+
+int fully_lit_frame(const StageCapture& capture) {
+  for (size_t f = 0; f < capture.frames.size(); ++f)
+    if (capture.frames[f].fully_lit) return static_cast<int>(f);
+  return -1;
+}
+
+// Mean display-encoded colour of the body over fully lit training views; grey without such.
+std::array<float, 3> mean_colour(const StageSource& source) {
+  const StageCapture& capture = source.capture();
+  std::vector<int> frames;
+  for (const int frame : capture.frames_of(StageSplit::kTrain))
+    if (capture.frames[static_cast<size_t>(frame)].fully_lit) frames.push_back(frame);
+  std::array<double, 3> sum{};
+  double weight = 0;
+  for (const StageViewKey& key : scored_views(frames, capture.train_cameras(), kColourViews)) {
+    const StageView view = source.view(key, {0, 0, 0});
+    for (size_t p = 0; p < view.mask.size(); ++p) {
+      weight += static_cast<double>(view.mask[p]);
+      for (int c = 0; c < 3; ++c)
+        sum[static_cast<size_t>(c)] +=
+            static_cast<double>(view.mask[p]) * static_cast<double>(view.image.plane(c)[p]);
+    }
+  }
+  std::array<float, 3> mean{0.5f, 0.5f, 0.5f};
+  if (weight > 0)
+    for (size_t c = 0; c < 3; ++c) mean[c] = static_cast<float>(sum[c] / weight);
+  return mean;
+}
+
+DrawnView painted(DrawnView view, const std::array<float, 3>& colour) {
+  for (size_t p = 0; p < view.mask.data.size(); ++p)
+    for (size_t c = 0; c < 3; ++c) view.drawn.data[3 * p + c] = view.mask.data[p] * colour[c];
+  return view;
+}
+
+Json score_json(const BodyScore& s) {
+  return {{"psnr", s.psnr}, {"ssim", s.ssim}, {"flip", s.flip}, {"psnr_inside", s.psnr_inside}};
+}
+
+}  // namespace
+
+BodyScore ViewGroup::mean(BodyScore ViewScores::*which) const {
+  std::vector<BodyScore> scores;
+  for (const ViewScores& view : views) scores.push_back(view.*which);
+  return mean_score(scores);
+}
+
+std::map<std::string, double> ViewGroup::mean_distances() const {
+  std::map<std::string, double> mean;
+  for (const ViewScores& view : views)
+    for (const auto& [distance, value] : view.distances)
+      mean[distance] += value / static_cast<double>(views.size());
+  return mean;
+}
+
+const ViewGroup* BodyEvaluation::group(const std::string& name) const {
+  for (const ViewGroup& g : groups)
+    if (g.name == name) return &g;
+  return nullptr;
+}
+
+BodyEvaluation evaluate_body(BodyAvatar& avatar, const StageCapture& capture,
+                             const BodyEvaluationOptions& options) {
+  check_fits(avatar, capture);
+  const auto begin = std::chrono::steady_clock::now();
+  BodyEvaluation evaluation;
+  evaluation.lpips_net = options.perceptual.lpips_net;
+  evaluation.lpips_note = options.perceptual.lpips_note;
+  const StageSource source(capture);
+  StageMoments moments(source, avatar.model.shadow_texels(), avatar.settings);
+  BodyViewer viewer(avatar.settings, avatar.model, moments);
+  std::vector<int> cameras = capture.test_cameras();
+  if (cameras.empty()) {
+    log_warning("the capture holds no cameras out; training cameras are scored");
+    cameras = capture.train_cameras();
+  }
+  const std::array<float, 3> colour = mean_colour(source);
+  const int full = fully_lit_frame(capture);
+
+  struct Wanted {
+    const char *name, *title;
+    std::vector<int> frames;
+  };
+  const Wanted wanted[] = {
+      {"view", "held-out cameras, partially lit training frames",
+       partially_lit(capture, capture.frames_of(StageSplit::kTrain))},
+      {"light", "held-out cameras and lights", capture.frames_of(StageSplit::kLights)},
+      {"motion", "held-out cameras, lights and motion", capture.frames_of(StageSplit::kMotion)},
+      {"environment", "unseen motion under environments",
+       capture.frames_of(StageSplit::kEnvironment)}};
+  int64_t total = 0, done = 0;
+  for (const Wanted& w : wanted)
+    total += static_cast<int64_t>(scored_views(w.frames, cameras, options.most_views).size());
+  Progress progress("scoring", "views", total);
+  for (const Wanted& w : wanted) {
+    if (w.frames.empty()) continue;
+    ViewGroup group{w.name, w.title, {}};
+    for (const StageViewKey& key : scored_views(w.frames, cameras, options.most_views)) {
+      ViewScores scores;
+      scores.view = key;
+      if (full >= 0) scores.unlit = score_of(viewer.draw_in_light_of(key, full));
+      const DrawnView drawn = viewer.draw(key);
+      scores.score = score_of(drawn);
+      scores.flat = score_of(painted(drawn, colour));
+      for (const ImageDistance& distance : options.perceptual.distances)
+        scores.distances[distance.name] = distance.between(drawn.truth, drawn.drawn);
+      group.views.push_back(std::move(scores));
+      progress.update(++done);
+    }
+    evaluation.groups.push_back(std::move(group));
+  }
+  progress.finish();
+  if (evaluation.groups.empty())
+    throw Error(capture.folder.string() +
+                ": no partially lit or held-out frame to score; capture some.");
+  evaluation.seconds =
+      std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+  return evaluation;
+}
+
+Json BodyEvaluation::metrics() const {
+  Json json = {{"kind", "body"},
+               {"crop", "bounding box of the mask, 4 pixels around it"},
+               {"lpips_net", lpips_net.empty() ? Json() : Json(lpips_net)},
+               {"seconds", seconds}};
+  if (lpips_net.empty()) json["lpips_note"] = lpips_note;
+  for (const ViewGroup& group : groups) {
+    Json entry = score_json(group.mean());
+    entry["title"] = group.title;
+    entry["views"] = group.views.size();
+    for (const auto& [name, value] : group.mean_distances()) entry[name] = value;
+    entry["mean_colour"] = score_json(group.mean(&ViewScores::flat));
+    entry["left_fully_lit"] = score_json(group.mean(&ViewScores::unlit));
+    json[group.name] = entry;
+  }
+  return json;
+}
+
+}  // namespace effigy

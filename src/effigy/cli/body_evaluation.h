@@ -1,0 +1,52 @@
+// effigy eval's work for bodies, shared with the demo: metrics.json and report.html of a body
+// avatar on a light-stage capture.
+#pragma once
+
+#include <map>
+#include <string>
+#include <vector>
+
+#include "effigy/body/body_avatar.h"
+#include "effigy/body/evaluate.h"
+#include "effigy/cli/evaluation.h"
+
+namespace effigy {
+
+struct BodyEvaluationOptions {
+  size_t most_views = 48;  // of each group; 0: all
+  PerceptualDistances perceptual;
+};
+
+struct ViewScores {
+  StageViewKey view;
+  BodyScore score;
+  std::map<std::string, double> distances;
+  BodyScore flat;   // the body in one colour: the mean of the fully lit training views
+  BodyScore unlit;  // the same view left in full light
+};
+
+// What was held out, each group on cameras that were held out too.
+struct ViewGroup {
+  std::string name, title;
+  std::vector<ViewScores> views;
+  BodyScore mean(BodyScore ViewScores::*which = &ViewScores::score) const;
+  std::map<std::string, double> mean_distances() const;
+};
+
+struct BodyEvaluation {
+  std::vector<ViewGroup> groups;  // "view", "light", "motion", "environment"; those there are
+  std::string lpips_net, lpips_note;
+  double seconds = 0;
+  const ViewGroup* group(const std::string& name) const;  // null when there is none
+  Json metrics() const;                                   // metrics.json
+};
+
+// Throws Error when capture and avatar have different meshes or keypoints.
+BodyEvaluation evaluate_body(BodyAvatar& avatar, const StageCapture& capture,
+                             const BodyEvaluationOptions& options);
+
+// Writes OUT/report.html and OUT/metrics.json, each complete or not at all.
+void write_body_evaluation(const BodyEvaluation& evaluation, BodyAvatar& avatar,
+                           const StageCapture& capture, const Path& avatar_folder, const Path& out);
+
+}  // namespace effigy
