@@ -28,7 +28,7 @@ class BodyDriver {
   BodyDriver(const Rig& rig, const TensorFile& file);
   void save(TensorFile& file) const;
 
-  // Vertices and keypoints of a pose (no irradiance).
+  // Vertices and keypoints of a pose.
   BodyMoment moment(const RigPose& pose) const;
   // Largest distance between a bound keypoint and the capture's over the frames of the fit, metres.
   double worst() const { return worst_; }

@@ -55,9 +55,12 @@ void BodyModel::pose(const BodyMoment& moment) {
   surface_.albedo = maps_.albedo;
   surface_.roughness.resize(n);
   for (size_t i = 0; i < n; ++i) surface_.roughness[i] = std::exp(maps_.log_roughness[i]);
+}
+
+void BodyModel::light(std::span<const float> irradiance) {
   surface_.shadow.clear();
-  if (moment.irradiance.empty()) return;
-  const std::span<const float> shadow = networks_.shadow(moment.irradiance);
+  if (irradiance.empty()) return;
+  const std::span<const float> shadow = networks_.shadow(irradiance);
   surface_.shadow.assign(shadow.begin(), shadow.end());
 }
 

@@ -38,9 +38,11 @@ class BodyModel {
   const BodyMaps& maps() const { return maps_; }
   void set_mesh_normals(bool mesh_normals) { mesh_normals_ = mesh_normals; }
 
-  // Decodes a moment; then how it looks from `eye` (world). Both before drawing; `look` alone when
-  // only the camera moves.
+  // Decodes a moment; how it is shadowed; how it looks from `eye` (world). All three, in this
+  // order, before drawing; afterwards `look` alone when only the camera moves, `light` alone when
+  // only lights do.
   void pose(const BodyMoment& moment);
+  void light(std::span<const float> irradiance);  // shadow_side^2; empty: no shadow
   void look(const Vec3f& eye);
   const BodySurface& surface() const { return surface_; }
   // Of the last pose: GaussianChannels::kCount numbers a texel, valid until the next.

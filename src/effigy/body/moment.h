@@ -9,7 +9,6 @@ struct BodyMoment {
   std::vector<float> vertices;        // 3V, posed, metres, world
   std::vector<float> body_keypoints;  // 3 a keypoint, metres, in the body's root frame
   std::vector<float> face_keypoints;  // in the head's
-  std::vector<float> irradiance;      // shadow_side^2 (body/irradiance.h); empty: no shadow
 };
 
 }  // namespace effigy

@@ -39,18 +39,22 @@ PointLights StageMoments::points(const StageMoment& at) const {
   return points;
 }
 
-BodyMoment StageMoments::moment(const StageMoment& at, const StageMoment& lit_as) {
+BodyMoment StageMoments::moment(const StageMoment& at) {
+  return {at.vertices, at.body_keypoints, at.face_keypoints};
+}
+
+const RayScene& StageMoments::rays(const StageMoment& at) {
   if (rays_ == nullptr)
     rays_ = std::make_unique<RayScene>(at.vertices, source_.capture().rig.mesh.triangles);
   else
     rays_->move(at.vertices);
-  BodyMoment moment{at.vertices, at.body_keypoints, at.face_keypoints, {}};
-  if (settings_.shadow) moment.irradiance = irradiance(at, lit_as);
-  return moment;
+  return *rays_;
 }
 
 const std::vector<float>& StageMoments::irradiance(const StageMoment& at,
                                                    const StageMoment& lit_as) {
+  static const std::vector<float> kNone;
+  if (!settings_.shadow) return kNone;
   const std::pair key(at.frame, lit_as.frame);
   const auto found = found_.find(key);
   if (found != found_.end()) return found->second;
@@ -59,12 +63,12 @@ const std::vector<float>& StageMoments::irradiance(const StageMoment& at,
   const IrradianceSampling sampling{settings_.shadow_samples,
                                     settings_.seed + static_cast<uint64_t>(at.frame)};
   if (lit_as.environment.empty())
-    return found_[key] = irradiance_.of_points(frames, *rays_, points(lit_as), sampling);
+    return found_[key] = irradiance_.of_points(frames, rays(at), points(lit_as), sampling);
   auto& sampler = samplers_[lit_as.environment.string()];
   if (sampler == nullptr)
     sampler = std::make_shared<EnvironmentSampler>(read_environment(lit_as.environment), 0.0,
                                                    EnvironmentDraw::kLuminance);
-  return found_[key] = irradiance_.of_environment(frames, *rays_, *sampler, sampling);
+  return found_[key] = irradiance_.of_environment(frames, rays(at), *sampler, sampling);
 }
 
 std::shared_ptr<const BodyLight> StageMoments::light(const StageMoment& at) {
@@ -83,8 +87,8 @@ std::vector<float> StageMoments::mean_irradiance(const std::vector<int>& frames)
   const size_t count = std::min(frames.size(), kMeanFrames);
   std::vector<float> mean(static_cast<size_t>(texels_.size) * static_cast<size_t>(texels_.size));
   for (size_t k = 0; k < count; ++k) {
-    const std::vector<float> picture =
-        moment(source_.moment(frames[k * frames.size() / count])).irradiance;
+    const StageMoment at = source_.moment(frames[k * frames.size() / count]);
+    const std::vector<float>& picture = irradiance(at, at);
     for (size_t i = 0; i < mean.size(); ++i) mean[i] += picture[i] / static_cast<float>(count);
   }
   return mean;

@@ -24,21 +24,20 @@ class StageMoments {
   StageMoments(const StageSource& source, const UvTexels& shadow_texels,
                const BodyTrainSettings& settings);
 
-  // What the networks are told. Irradiance is found when it is first asked for.
-  BodyMoment moment(const StageMoment& at) { return moment(at, at); }
-  // As lit by the light of another frame.
-  BodyMoment moment(const StageMoment& at, const StageMoment& lit_as);
+  static BodyMoment moment(const StageMoment& at);
+  // Irradiance picture in the light of a frame (its own, or another's), found when it is first
+  // asked for; empty without a shadow network.
+  const std::vector<float>& irradiance(const StageMoment& at, const StageMoment& lit_as);
   // Shared by frames with the same environment.
   std::shared_ptr<const BodyLight> light(const StageMoment& at);
-  // The mesh of the last moment(), for rays.
-  const RayScene& rays() const { return *rays_; }
+  // The mesh of a moment, for rays; valid until the next call.
+  const RayScene& rays(const StageMoment& at);
   const StageSource& source() const { return source_; }
 
   // Mean irradiance picture over some of the frames: what the shadow network subtracts.
   std::vector<float> mean_irradiance(const std::vector<int>& frames);
 
  private:
-  const std::vector<float>& irradiance(const StageMoment& at, const StageMoment& lit_as);
   PointLights points(const StageMoment& at) const;
 
   const StageSource& source_;

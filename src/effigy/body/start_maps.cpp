@@ -95,10 +95,11 @@ void start_albedo(StageMoments& moments, BodyModel& model) {
   Fit fit{std::vector<double>(3 * n), std::vector<double>(3 * n)};
   for (const int frame : spread(frames, kFrames)) {
     const StageMoment at = moments.source().moment(frame);
-    model.pose(moments.moment(at));
+    model.pose(StageMoments::moment(at));
+    model.light(moments.irradiance(at, at));
     const std::vector<float> shade = shade_of(model, *moments.light(at));
     for (const int camera : spread(capture.train_cameras(), kCameras))
-      add_view(capture, camera, frame, model, moments.rays(), shade, fit);
+      add_view(capture, camera, frame, model, moments.rays(at), shade, fit);
   }
   std::vector<float>& albedo = model.maps().albedo;
   for (size_t c = 0; c < 3; ++c) {

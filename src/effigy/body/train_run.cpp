@@ -3,6 +3,7 @@
 #include "effigy/body/train_run.h"
 
 #include <chrono>
+#include <numbers>
 
 #include "effigy/base/log.h"
 #include "effigy/base/progress.h"
@@ -120,6 +121,31 @@ class BodyTrainRun {
             {"synthetic", true}};
   }
 
+  // Mean radiance of all lamps together at the stage's middle: what renders are exposed to.
+  double light_level() const {
+    double sum = 0;
+    const Vec3f& center = trainer_.source().center();
+    for (const StageLight& light : capture_.lights)
+      sum += luminance(light.intensity.x(), light.intensity.y(), light.intensity.z()) /
+             (light.position - center).squaredNorm();
+    return sum > 0 ? sum / (4 * std::numbers::pi) : 1.0;
+  }
+
+  // The training camera that sees the body most from the front.
+  const Camera& front_camera() const {
+    const Vec3d center = trainer_.source().center().cast<double>();
+    const Camera* best = nullptr;
+    double most = -2;
+    for (const int index : capture_.train_cameras()) {
+      const Camera& camera = capture_.cameras[static_cast<size_t>(index)].camera;
+      const double facing = (camera.center() - center).normalized().dot(Vec3d(0.2, 0.05, 1));
+      if (facing <= most) continue;
+      most = facing;
+      best = &camera;
+    }
+    return *best;
+  }
+
   Json finish() {
     const double seconds = elapsed();
     const int64_t iterations = trainer_.iteration();
@@ -139,16 +165,16 @@ class BodyTrainRun {
     for (const StageFrame& frame : capture_.frames) track.numbers.push_back(frame.number);
     track.poses = capture_.poses;
     Json info = {{"provenance", provenance()},
+                 {"light_level", light_level()},
                  {"training", {{"iterations", iterations}, {"seconds", seconds}}}};
-    const BodyAvatar avatar{
-        capture_.rig,
-        std::move(trainer_.model()),
-        std::move(driver),
-        trainer_.settings(),
-        capture_.display,
-        capture_.cameras[static_cast<size_t>(capture_.train_cameras()[0])].camera,
-        {{"train", std::move(track)}},
-        std::move(info)};
+    const BodyAvatar avatar{capture_.rig,
+                            std::move(trainer_.model()),
+                            std::move(driver),
+                            trainer_.settings(),
+                            capture_.display,
+                            front_camera(),
+                            {{"train", std::move(track)}},
+                            std::move(info)};
     // The folder holds the checkpoint of this run until everything else is complete on disk.
     write_json(out_ / "training.json", result);
     write_body_avatar(avatar, out_);

@@ -127,7 +127,8 @@ void BodyTrainer::State::draw_view(BodyLossValues& mean) {
   target.display = capture.display;
   const int camera = view.camera;
   const auto light = moments.light(*view.moment);
-  model.pose(moments.moment(*view.moment));
+  model.pose(StageMoments::moment(*view.moment));
+  model.light(moments.irradiance(*view.moment, *view.moment));
   model.look(view.view.center().cast<float>());
   const BodySurface& surface = model.surface();
   picture.draw(view.view, surface, *light, options);
@@ -264,6 +265,9 @@ BodyModel& BodyTrainer::model() {
 }
 StageMoments& BodyTrainer::moments() {
   return state_->moments;
+}
+const StageSource& BodyTrainer::source() const {
+  return state_->source;
 }
 const std::vector<CameraColour>& BodyTrainer::camera_colours() const {
   return state_->colours;

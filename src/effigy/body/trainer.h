@@ -36,6 +36,7 @@ class BodyTrainer {
   // For drawing between steps; the moments are the training's.
   BodyModel& model();
   StageMoments& moments();
+  const StageSource& source() const;
   const std::vector<CameraColour>& camera_colours() const;
 
   // Everything needed to go on bit for bit. Loading checks that the checkpoint belongs to this

@@ -7,6 +7,7 @@ int main(int argc, char** argv) {
   return effigy::run_program(
       {{"track", effigy::run_track, "a talking-head video to a capture"},
        {"train", effigy::run_train_body, "a light-stage capture of a body to an avatar"},
+       {"render", effigy::run_render_body, "frames or a video of a body avatar"},
        {"eval", effigy::run_eval_learn, "metrics and a report, with perceptual distances"},
        {"bench", effigy::run_bench_learn, "the networks of bodies on this machine"}},
       argc, argv);

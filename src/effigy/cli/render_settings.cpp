@@ -10,20 +10,26 @@
 
 namespace effigy {
 
-PrefilteredEnvironment load_light(const std::string& name, double rotation,
-                                  const std::string& exposure, const Cubemap& reference) {
+Image light_image(const std::string& name) {
   const auto names = builtin_light_names();
   const bool builtin = std::find(names.begin(), names.end(), name) != names.end();
-  const Image image = builtin ? builtin_light(name) : read_environment(name);
-  double scale = 1.0;
-  if (exposure == "auto") {
-    scale = exposure_to_match(cubemap_from_equirectangular(image, 32), reference);
-  } else {
-    char* end = nullptr;
-    scale = std::strtod(exposure.c_str(), &end);
-    if (*end != '\0' || !(scale > 0) || !std::isfinite(scale))
-      throw Error("--exposure must be auto or a positive factor, not '" + exposure + "'.");
-  }
+  return builtin ? builtin_light(name) : read_environment(name);
+}
+
+double exposure_factor(const std::string& text) {
+  char* end = nullptr;
+  const double scale = std::strtod(text.c_str(), &end);
+  if (text.empty() || *end != '\0' || !(scale > 0) || !std::isfinite(scale))
+    throw Error("--exposure must be auto or a positive factor, not '" + text + "'.");
+  return scale;
+}
+
+PrefilteredEnvironment load_light(const std::string& name, double rotation,
+                                  const std::string& exposure, const Cubemap& reference) {
+  const Image image = light_image(name);
+  const double scale = exposure == "auto"
+                           ? exposure_to_match(cubemap_from_equirectangular(image, 32), reference)
+                           : exposure_factor(exposure);
   return prefilter_environment(image, rotation, scale);
 }
 

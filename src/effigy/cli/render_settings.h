@@ -12,6 +12,10 @@ namespace effigy {
 PrefilteredEnvironment load_light(const std::string& name, double rotation,
                                   const std::string& exposure, const Cubemap& reference);
 
+// The environment of that name or file; and --exposure as a number. Throw Error.
+Image light_image(const std::string& name);
+double exposure_factor(const std::string& text);
+
 // Poses by name or path: a track of the avatar ("train"), a track file, or a capture folder of any
 // rig (retargeted by expression and joint names).
 Track load_drive(const std::string& what, const HeadAvatar& avatar);

@@ -1,0 +1,142 @@
+#include "effigy/body/renderer.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "effigy/base/error.h"
+#include "effigy/body/losses.h"
+#include "effigy/body/trainer.h"
+#include "effigy/image/colour.h"
+#include "effigy/report/overlay.h"
+
+namespace effigy {
+namespace {
+
+struct Buffer {
+  const char* name;
+  int first, count;
+};
+constexpr Buffer kBuffers[] = {{"diffuse", kBodyDiffuse, 3},     {"normal", kBodyNormal, 3},
+                               {"roughness", kBodyRoughness, 1}, {"visibility", kBodyVisibility, 1},
+                               {"shadow", kBodyShadow, 1},       {"depth", kBodyDepth, 1}};
+
+// Planes of a buffer, divided by alpha.
+Planes buffer_planes(const BodyPicture& picture, const std::string& name) {
+  const Planes& channels = picture.channels();
+  const float* alpha = channels.plane(0);
+  if (name == "alpha") {
+    Planes out(channels.width, channels.height, 1);
+    std::copy_n(alpha, out.pixels(), out.plane(0));
+    return out;
+  }
+  if (name == "specular") {  // what is left of the picture without its diffuse part
+    Planes out(channels.width, channels.height, 3);
+    const float* shadow = channels.plane(1 + kBodyShadow);
+    for (int c = 0; c < 3; ++c)
+      for (size_t p = 0; p < out.pixels(); ++p) {
+        const float a = std::max(alpha[p], 1e-3f);
+        out.plane(c)[p] = (picture.radiance().plane(c)[p] -
+                           channels.plane(1 + kBodyDiffuse + c)[p] * shadow[p] / a) /
+                          a;
+      }
+    return out;
+  }
+  for (const Buffer& buffer : kBuffers) {
+    if (name != buffer.name) continue;
+    Planes out(channels.width, channels.height, buffer.count);
+    for (int c = 0; c < buffer.count; ++c)
+      for (size_t p = 0; p < out.pixels(); ++p)
+        out.plane(c)[p] = channels.plane(1 + buffer.first + c)[p] / std::max(alpha[p], 1e-3f);
+    return out;
+  }
+  throw Error("There is no buffer '" + name + "' of a body.");
+}
+
+}  // namespace
+
+const std::vector<std::string>& body_buffer_names() {
+  static const std::vector<std::string> kNames = {"diffuse",    "specular", "normal", "roughness",
+                                                  "visibility", "shadow",   "depth",  "alpha"};
+  return kNames;
+}
+
+Image body_buffer_values(const BodyPicture& picture, const std::string& name) {
+  return to_image(buffer_planes(picture, name));
+}
+
+Image8 view_body_buffer(const BodyPicture& picture, const std::string& name) {
+  Planes planes = buffer_planes(picture, name);
+  const PlaneView view{picture.channels().plane(0), {0, 0, 0}};
+  if (name == "normal") return colour_normals(planes, 0, view);
+  if (name == "depth") return colour_scalar(planes, 0, ColourMap::kPerceptual, 0, 0, true, view);
+  if (planes.count == 1) return colour_scalar(planes, 0, ColourMap::kGrey, 0, 1, false, view);
+  for (float& value : planes.data) value = srgb_from_linear(std::max(value, 0.0f));
+  return colour_rgb(planes, 0, view);
+}
+
+BodyRenderer::BodyRenderer(BodyAvatar& avatar)
+    : avatar_(avatar),
+      options_(draw_options(avatar.settings)),
+      samples_(avatar.settings.shadow_samples),
+      irradiance_(avatar.model.shadow_texels()) {
+  avatar_.model.networks().set_training(false);
+  set_pose(RigPose::rest(avatar.rig));
+}
+
+void BodyRenderer::set_pose(const RigPose& pose) {
+  moment_ = avatar_.driver.moment(pose);
+  if (rays_ == nullptr)
+    rays_ = std::make_unique<RayScene>(moment_.vertices, avatar_.rig.mesh.triangles);
+  else
+    rays_->move(moment_.vertices);
+  avatar_.model.pose(moment_);
+  shadow_stale_ = true;
+}
+
+void BodyRenderer::set_points(PointLights points) {
+  light_ = body_light(std::move(points));
+  environment_.reset();
+  shadow_stale_ = true;
+}
+
+void BodyRenderer::set_environment(const Cubemap& radiance) {
+  light_ = body_light(radiance);
+  environment_ = std::make_unique<EnvironmentSampler>(radiance, EnvironmentDraw::kLuminance);
+  shadow_stale_ = true;
+}
+
+void BodyRenderer::find_shadow() {
+  if (!shadow_stale_) return;
+  shadow_stale_ = false;
+  if (!avatar_.settings.shadow) return avatar_.model.light({});
+  const TexelFrames frames =
+      texel_frames(avatar_.model.shadow_texels(), moment_.vertices, avatar_.rig.mesh.triangles);
+  const IrradianceSampling sampling{samples_, avatar_.settings.seed};
+  avatar_.model.light(environment_
+                          ? irradiance_.of_environment(frames, *rays_, *environment_, sampling)
+                          : irradiance_.of_points(frames, *rays_, light_.points, sampling));
+}
+
+const Planes& BodyRenderer::draw(const Camera& camera, const std::array<float, 3>& background) {
+  find_shadow();
+  avatar_.model.look(camera.center().cast<float>());
+  picture_.draw(camera, avatar_.model.surface(), light_, options_);
+  BodyTarget target;
+  target.display = avatar_.display;
+  const bool black = background[0] == 0 && background[1] == 0 && background[2] == 0;
+  if (!black) {
+    target.background = Planes(camera.width, camera.height, 3);
+    for (int c = 0; c < 3; ++c)
+      std::fill_n(target.background.plane(c), target.background.pixels(),
+                  linear_from_srgb(background[static_cast<size_t>(c)]));
+    if (ground_) {
+      const Planes share = environment_ ? ground_shadow(camera, *ground_, *rays_, *environment_, {})
+                                        : ground_shadow(camera, *ground_, *rays_, light_.points);
+      for (size_t i = 0; i < share.data.size(); ++i) target.background.data[i] *= share.data[i];
+    }
+  }
+  body_display(picture_, {}, target, display_);
+  return display_;
+}
+
+}  // namespace effigy

@@ -1,0 +1,63 @@
+// Draws a body avatar: pose, light and camera in; picture out. Networks are asked again only for
+// what changed.
+#pragma once
+
+#include <array>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "effigy/body/body_avatar.h"
+#include "effigy/body/draw.h"
+#include "effigy/body/ground.h"
+#include "effigy/body/irradiance.h"
+
+namespace effigy {
+
+class BodyRenderer {
+ public:
+  // Keeps a reference to `avatar`; starts in the rig's rest pose without light.
+  explicit BodyRenderer(BodyAvatar& avatar);
+
+  void set_pose(const RigPose& pose);
+  void set_points(PointLights points);
+  // Takes seconds for cubemaps of 64 and more texels a side.
+  void set_environment(const Cubemap& radiance);
+  // Rays a texel for shadows (default: those of training).
+  void set_shadow_samples(int samples) { samples_ = samples; }
+  // A floor that the body's shadow falls on, at this height (metres, world); the background is seen
+  // as if it lay there.
+  void set_ground(float height) { ground_ = height; }
+
+  // 3 planes, display-encoded, over `background` (display-encoded).
+  const Planes& draw(const Camera& camera, const std::array<float, 3>& background = {0, 0, 0});
+  // Of the last draw.
+  const BodyPicture& picture() const { return picture_; }
+  const std::vector<float>& vertices() const { return moment_.vertices; }
+
+ private:
+  void find_shadow();
+
+  BodyAvatar& avatar_;
+  BodyDrawOptions options_;
+  int samples_;
+  BodyMoment moment_;
+  BodyLight light_;
+  std::unique_ptr<EnvironmentSampler> environment_;
+  TexelIrradiance irradiance_;
+  std::unique_ptr<RayScene> rays_;
+  std::optional<float> ground_;
+  bool shadow_stale_ = true;
+  BodyPicture picture_;
+  Planes display_;
+};
+
+// A channel of a picture as a viewable image, divided by alpha. Names: diffuse specular normal
+// roughness visibility shadow depth alpha. Throws Error for an unknown name.
+Image8 view_body_buffer(const BodyPicture& picture, const std::string& name);
+const std::vector<std::string>& body_buffer_names();
+// The same buffer as linear floats, for EXR.
+Image body_buffer_values(const BodyPicture& picture, const std::string& name);
+
+}  // namespace effigy
