@@ -268,14 +268,14 @@ TEST(PathTracer, LightIsLinear) {
       scene_of(sphere(1, 32), constant_material(Vec3f(0.7f, 0.5f, 0.3f), 0.3f, 0.1f));
   scene.add_mesh(square(4, -1.2), 0, "wall");
   scene.commit();
-  const std::vector<PointLight> lights = {{Vec3f(3, 2, 3), Vec3f(20, 10, 5)},
+  const std::vector<StageLight> lights = {{Vec3f(3, 2, 3), Vec3f(20, 10, 5)},
                                           {Vec3f(-3, 1, 2), Vec3f(4, 8, 12)},
                                           {Vec3f(0, 4, 1), Vec3f(9, 9, 9)}};
   const Camera camera = front(24, 0.7);
   scene.set_point_lights(lights);
   const Image all = trace_image(scene, camera, samples(16));
   Image sum(24, 24, 4);
-  for (const PointLight& light : lights) {
+  for (const StageLight& light : lights) {
     scene.set_point_lights({light});
     const Image one = trace_image(scene, camera, samples(16));
     for (size_t i = 0; i < sum.data.size(); ++i) sum.data[i] += one.data[i];
@@ -287,9 +287,9 @@ TEST(PathTracer, LightIsLinear) {
   // Many lights: one is chosen at each point, of very many from some of them; the same image on
   // average.
   for (const int copies : {4, 17}) {
-    std::vector<PointLight> many;
+    std::vector<StageLight> many;
     for (int i = 0; i < copies; ++i)
-      for (PointLight light : lights) {
+      for (StageLight light : lights) {
         light.intensity /= static_cast<float>(copies);
         many.push_back(light);
       }
@@ -429,7 +429,7 @@ TEST(PathTracer, IrradianceIsTheShareOfLightThatArrives) {
 // Of very many lights only some are asked, which changes nothing on average.
 TEST(PathTracer, IrradianceOfVeryManyLightsIsUnbiased) {
   TraceScene scene = scene_of(sphere(1, 24), lambert(Vec3f::Ones()));
-  std::vector<PointLight> lights;
+  std::vector<StageLight> lights;
   Random random(3);
   for (int i = 0; i < 150; ++i) {
     const Vec3d d = Vec3d(random.normal(), random.normal(), random.normal()).normalized();
@@ -442,7 +442,7 @@ TEST(PathTracer, IrradianceOfVeryManyLightsIsUnbiased) {
   double mean = 0, worst = 0;
   for (size_t v = 0; v < p.size(); v += 3) {
     double seen = 0, sent = 0;
-    for (const PointLight& light : lights) {
+    for (const StageLight& light : lights) {
       const Vec3f way = light.position - Vec3f(&p[v]);
       const double amount = static_cast<double>(light.intensity.x() / way.squaredNorm());
       sent += amount;

@@ -41,7 +41,7 @@ Vec3d seen(const TraceScene& scene, const Vec3d& eye, const Vec3d& target, int s
 }
 
 // A light so far away that its irradiance along its direction is 1.
-PointLight far_light(const Vec3f& towards) {
+StageLight far_light(const Vec3f& towards) {
   return {1000 * towards, Vec3f::Constant(1e6f)};
 }
 

@@ -8,7 +8,7 @@
 namespace effigy {
 namespace {
 
-constexpr float kStartAlbedo = 0.5f, kStartRoughness = 0.1f;
+constexpr float kStartAlbedo = 0.5f, kStartRoughness = 0.2f;
 constexpr const char* kAlbedo = "maps.albedo";
 constexpr const char* kRoughness = "maps.log_roughness";
 

@@ -22,7 +22,7 @@ inline constexpr float kLeastRoughness = 0.003f, kMostRoughness = 1.0f;
 
 class BodyModel {
  public:
-  // Starts at albedo 0.5 and roughness 0.1. The same seed gives the same bits. Throws Error when
+  // Starts at albedo 0.5 and roughness 0.2. The same seed gives the same bits. Throws Error when
   // the mesh has no UVs.
   BodyModel(const Mesh& mesh, const BodyNetworkSettings& settings, uint64_t seed);
   // From the tensors that save() has written. Throws Error when they do not fit the mesh.

@@ -12,6 +12,9 @@ namespace {
 // Last layers start small, so that an untrained avatar is near what the activations' fixed offsets
 // describe, yet every layer has a gradient from the first step on.
 constexpr double kLastGain = 0.1;
+// Added before the sigmoid of specular visibility: an untrained avatar is dull, because highlights
+// in the wrong places would drive it to nothing, from where it does not come back.
+constexpr float kVisibilityOffset = -2.2f;
 // Added before the shadow's sigmoid: an untrained avatar is lit.
 constexpr double kShadowOffset = 1.0;
 
@@ -89,7 +92,7 @@ at::Tensor BodyModules::decode(const at::Tensor& seed) const {
 at::Tensor BodyModules::visibility(const at::Tensor& seed, const at::Tensor& view) const {
   const at::Tensor features = run(view_, view.view({kSeedSide * kSeedSide, 3}));
   const at::Tensor start = at::cat({seed, features.view({kSeedSide, kSeedSide, kViewChannels})}, 2);
-  return at::sigmoid(run(view_dependent_, start));
+  return at::sigmoid(run(view_dependent_, start) + kVisibilityOffset);
 }
 
 at::Tensor BodyModules::shadow(const at::Tensor& irradiance) const {

@@ -41,6 +41,7 @@ constexpr auto kList = [](auto& s, auto&& visit) {
   visit("bound", s.bound);
   visit("alpha_sparsity", s.alpha_sparsity);
   visit("mask_border", s.mask_border);
+  visit("compensate", s.compensate);
   visit("divide_by_alpha", s.divide_by_alpha);
   visit("sg_norm", s.sg_norm);
   visit("deferred", s.deferred);
@@ -108,7 +109,9 @@ void BodyTrainSettings::make_paper_literal() {
   paper_literal = true;
   weights.pyramid = 0;
   bound = "paper";
+  compensate = false;
   divide_by_alpha = false;
+  normal_anneal = 0.067;
   sg_norm = "code";
   environment_from = 100'000;
   camera_gains = false;

@@ -40,7 +40,7 @@ struct BodyTrainSettings {
   int crop = 0;   // side of a random crop in pixels; 0: all that shows the body
   BodyRates rates;
   BodyWeights weights;
-  double normal_anneal = 0.067;    // share of the run (the paper: 20 of 300 thousand)
+  double normal_anneal = 0.5;      // share of the run (the paper: 20 of 300 thousand)
   double final_rate_factor = 0.1;  // rates fall to this over the last part of the run; 1: constant
   double final_part = 0.5;         // that part
   double clip_gradient = 1;        // largest norm of the networks' gradient; 0: none
@@ -50,6 +50,7 @@ struct BodyTrainSettings {
   std::string bound = "relative";      // below a bound: "relative" low / v, or "paper" 1 / v
   std::string alpha_sparsity = "min";  // min(a, 1 - a), or "log"
   int mask_border = 2;                 // pixels around the mask's edge without mask loss
+  bool compensate = true;              // small Gaussians' opacity for the blur (splat/)
   bool divide_by_alpha = true;         // blended channels before they are used (body/draw.h)
   std::string sg_norm = "code";        // code, pi32, unit (light/spherical_gaussian.h)
   bool deferred = true;                // specular light per pixel; else per Gaussian

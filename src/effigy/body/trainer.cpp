@@ -44,6 +44,7 @@ BodyDrawOptions draw_options(const BodyTrainSettings& settings) {
   BodyDrawOptions options;
   options.deferred = settings.deferred;
   options.divide_by_alpha = settings.divide_by_alpha;
+  options.raster.compensate = settings.compensate;
   options.sg_norm = sg_norm_named(settings.sg_norm.c_str());
   return options;
 }

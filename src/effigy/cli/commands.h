@@ -5,6 +5,7 @@
 namespace effigy {
 
 int run_demo(int argc, char** argv);
+int run_demo_body(int argc, char** argv);  // effigy-learn
 int run_synth(int argc, char** argv);
 int run_track(int argc, char** argv);  // effigy-learn
 int run_train(int argc, char** argv);

@@ -5,7 +5,8 @@
 
 int main(int argc, char** argv) {
   return effigy::run_program(
-      {{"track", effigy::run_track, "a talking-head video to a capture"},
+      {{"demo", effigy::run_demo_body, "one command, end to end, on a built-in body"},
+       {"track", effigy::run_track, "a talking-head video to a capture"},
        {"train", effigy::run_train_body, "a light-stage capture of a body to an avatar"},
        {"render", effigy::run_render_body, "frames or a video of a body avatar"},
        {"eval", effigy::run_eval_learn, "metrics and a report, with perceptual distances"},

@@ -299,13 +299,11 @@ class BodyCaptureWriter {
 
   void light(size_t f) {
     const StageFrame& frame = capture_.frames[f];
-    std::vector<PointLight> lamps;
-    for (const StageLight& lamp : capture_.lights_of(static_cast<int>(f)))
-      lamps.push_back({lamp.position, lamp.intensity});
     const bool environment = !frame.environment.empty();
     body_.scene().set_environment(environment ? environments_.at(frame.environment.string())
                                               : nullptr);
-    body_.scene().set_point_lights(environment ? std::vector<PointLight>{} : std::move(lamps));
+    body_.scene().set_point_lights(environment ? std::vector<StageLight>{}
+                                               : capture_.lights_of(static_cast<int>(f)));
   }
 
   // Mesh, truth and the normalised irradiance on the mesh that training knows.
@@ -390,9 +388,7 @@ double probe_seconds(const SynthBodyOptions& options, const LightStage& stage) {
   BodyScene body(scene);
   body.advance();
   body.show(body.truth());
-  std::vector<PointLight> lamps;
-  for (const StageLight& lamp : stage.lights) lamps.push_back({lamp.position, lamp.intensity});
-  body.scene().set_point_lights(std::move(lamps));
+  body.scene().set_point_lights(stage.lights);
   TraceOptions trace;
   trace.samples = kSamples;
   trace.bounces = options.bounces;

@@ -32,7 +32,7 @@ int trace_centre(const TraceScene& scene, const CameraRays& rays, int x, int y, 
   const Vec3f direction = rays.direction(x + 0.5, y + 0.5);
   const TraceScene::Hit hit = first_surface(scene, rays.origin(), direction, 0.5f);
   if (hit.triangle < 0) return 0;
-  const SurfacePoint point = scene.surface(hit, direction);
+  const ScenePoint point = scene.surface(hit, direction);
   const size_t i = static_cast<size_t>(y) * gbuffer.width + x;
   const auto put = [&](int plane, float value) { gbuffer.plane(plane)[i] = value; };
   put(kAlpha, 1);
@@ -63,7 +63,7 @@ void trace_square(const TraceScene& scene, const CameraRays& rays, int x, int y,
     const Vec3f direction = rays.direction(x + place.x(), y + place.y());
     const TraceScene::Hit hit = first_surface(scene, rays.origin(), direction, least_opacity);
     if (hit.triangle < 0) continue;
-    const SurfacePoint point = scene.surface(hit, direction);
+    const ScenePoint point = scene.surface(hit, direction);
     const float sine = std::sqrt(u.y());
     const Vec3f local(sine * std::cos(2 * kPi * u.x()), sine * std::sin(2 * kPi * u.x()),
                       std::sqrt(1 - u.y()));
@@ -134,20 +134,20 @@ std::vector<float> vertex_irradiance(const TraceScene& scene, int mesh, int samp
     const float share = light != nullptr ? 1.0f / static_cast<float>(samples) : 1.0f;
     sent *= share;
     arrived *= share;
-    const auto arrives = [&](const PointLight& lamp) {
+    const auto arrives = [&](const StageLight& lamp) {
       return Vec3f(lamp.intensity / std::max((lamp.position - origin).squaredNorm(), 1e-12f));
     };
-    const std::vector<PointLight>& lamps = scene.point_lights();
+    const std::vector<StageLight>& lamps = scene.point_lights();
     const size_t counted = std::min(lamps.size(), kLampsCounted);
     const float stride =
         static_cast<float>(lamps.size()) / static_cast<float>(std::max<size_t>(counted, 1));
-    for (const PointLight& lamp : lamps) sent += arrives(lamp);
+    for (const StageLight& lamp : lamps) sent += arrives(lamp);
     // Of very many lights every n-th is asked whether it is seen, from a random one on.
     sampler.start(static_cast<uint32_t>(samples));
     const float start = counted < lamps.size() ? sampler.next().x() : 0.5f;
     for (size_t k = 0; k < counted; ++k) {
       const size_t index = static_cast<size_t>((static_cast<float>(k) + start) * stride);
-      const PointLight& lamp = lamps[std::min(index, lamps.size() - 1)];
+      const StageLight& lamp = lamps[std::min(index, lamps.size() - 1)];
       const Vec3f way = lamp.position - origin;
       const float far = std::max(way.norm(), 1e-6f);
       arrived += stride * scene.transmittance(origin, way / far, far) * arrives(lamp);

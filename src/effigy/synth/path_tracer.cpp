@@ -30,7 +30,7 @@ class Tracer {
     if (hit.triangle < 0) return false;
     Vec3f weight = Vec3f::Ones();
     for (int bounce = 1; bounce <= bounces_; ++bounce) {
-      SurfacePoint point = scene_.surface(hit, direction);
+      ScenePoint point = scene_.surface(hit, direction);
       if (shadows_ && point.scatter.x() > 0 && !scatter(point, direction, sampler, weight))
         return true;
       const ShadingFrame frame(shading_normal(point, direction));
@@ -63,7 +63,7 @@ class Tracer {
  private:
   // Makes one of its lobes by chance of a translucent point: its gloss, or where diffuse light that
   // leaves there entered, a white Lambert surface. False when the probe for that finds nothing.
-  bool scatter(SurfacePoint& point, Vec3f& direction, PixelSampler& sampler, Vec3f& weight) const {
+  bool scatter(ScenePoint& point, Vec3f& direction, PixelSampler& sampler, Vec3f& weight) const {
     const ShadingFrame frame(shading_normal(point, direction));
     const float chance =
         Brdf(point.albedo, point.roughness, point.specular, frame.to_local(-direction))
@@ -86,7 +86,7 @@ class Tracer {
   // Where light that leaves at `exit` entered, found by a probe through the surface along its
   // normal or a tangent (King et al. 2013). Of the places that the probe meets one is chosen in
   // proportion to what it brings; `weight` is multiplied by all over its share.
-  bool find_entry(const SurfacePoint& exit, PixelSampler& sampler, TraceScene::Hit& entry,
+  bool find_entry(const ScenePoint& exit, PixelSampler& sampler, TraceScene::Hit& entry,
                   Vec3f& weight) const {
     constexpr int kMostHits = 32;
     const ScatterProbe probe(exit, sampler.next(), sampler.next());
@@ -98,7 +98,7 @@ class Tracer {
       if (hit.triangle < 0 || hit.distance > probe.length) break;
       near = hit.distance * (1 + 1e-6f) + 0.1f * scene_.offset();
       const Vec3f outward = scene_.outward(hit);
-      const SurfacePoint point = scene_.surface(hit, -outward);
+      const ScenePoint point = scene_.surface(hit, -outward);
       if (point.mesh != exit.mesh || point.scatter.x() <= 0) continue;
       const Vec3f brought = probe.share(point.position - exit.position, outward);
       if (!choice.offer(brought.sum())) continue;
@@ -124,7 +124,7 @@ class Tracer {
     return {};
   }
 
-  static Vec3f shading_normal(const SurfacePoint& point, const Vec3f& direction) {
+  static Vec3f shading_normal(const ScenePoint& point, const Vec3f& direction) {
     const float cosine = -point.mapped.dot(direction);
     if (cosine >= kLeastCosine) return point.mapped;
     const Vec3f bent = point.mapped - (kLeastCosine - cosine) * direction;
@@ -140,11 +140,11 @@ class Tracer {
     return true;
   }
 
-  float passes(const SurfacePoint& point, const Vec3f& direction, float far) const {
+  float passes(const ScenePoint& point, const Vec3f& direction, float far) const {
     return shadows_ ? scene_.transmittance(point.origin, direction, far) : 1.0f;
   }
 
-  void add_environment(const SurfacePoint& point, const ShadingFrame& frame, const Brdf& brdf,
+  void add_environment(const ScenePoint& point, const ShadingFrame& frame, const Brdf& brdf,
                        const Vec3f& weight, PixelSampler& sampler, Vec3f& total) const {
     const EnvironmentSampler* light = scene_.environment();
     if (light == nullptr) return;
@@ -159,7 +159,7 @@ class Tracer {
   }
 
   // What a point light gives unshadowed, and the way to it.
-  static Vec3f unshadowed(const PointLight& light, const SurfacePoint& point,
+  static Vec3f unshadowed(const StageLight& light, const ScenePoint& point,
                           const ShadingFrame& frame, const Brdf& brdf, Vec3f& direction,
                           float& distance) {
     direction = light.position - point.origin;
@@ -170,14 +170,14 @@ class Tracer {
            square;
   }
 
-  void add_point_lights(const SurfacePoint& point, const ShadingFrame& frame, const Brdf& brdf,
+  void add_point_lights(const ScenePoint& point, const ShadingFrame& frame, const Brdf& brdf,
                         const Vec3f& weight, PixelSampler& sampler, Vec3f& total) const {
-    const std::vector<PointLight>& lights = scene_.point_lights();
+    const std::vector<StageLight>& lights = scene_.point_lights();
     if (lights.empty()) return;
     Vec3f direction;
     float distance;
     if (lights.size() <= kLightsTried) {
-      for (const PointLight& light : lights) {
+      for (const StageLight& light : lights) {
         const Vec3f given = unshadowed(light, point, frame, brdf, direction, distance);
         if (given.maxCoeff() > 0)
           total += weight.cwiseProduct(given) * passes(point, direction, distance);
@@ -194,7 +194,7 @@ class Tracer {
     Vec3f chosen = Vec3f::Zero(), chosen_direction = Vec3f::UnitZ();
     for (size_t k = 0; k < compared; ++k) {
       const size_t index = static_cast<size_t>((static_cast<float>(k) + start) * stride);
-      const PointLight& light = lights[std::min(index, lights.size() - 1)];
+      const StageLight& light = lights[std::min(index, lights.size() - 1)];
       const Vec3f given = unshadowed(light, point, frame, brdf, direction, distance);
       if (!choice.offer(given.sum())) continue;
       chosen = given;

@@ -123,7 +123,7 @@ void TraceScene::pose(int mesh, std::span<const float> vertices) {
   posed.vertices.assign(vertices.begin(), vertices.end());
 }
 
-void TraceScene::set_point_lights(std::vector<PointLight> lights) {
+void TraceScene::set_point_lights(std::vector<StageLight> lights) {
   for (size_t i = 0; i < lights.size(); ++i)
     if (!lights[i].position.allFinite() || !lights[i].intensity.allFinite() ||
         lights[i].intensity.minCoeff() < 0)
@@ -180,7 +180,7 @@ void TraceScene::commit() {
 
 void TraceScene::check_lights() const {
   bool lit = environment_ != nullptr && environment_->flux().maxCoeff() > 0;
-  for (const PointLight& light : point_lights_) lit |= light.intensity.maxCoeff() > 0;
+  for (const StageLight& light : point_lights_) lit |= light.intensity.maxCoeff() > 0;
   if (!lit)
     throw Error(
         "The scene has no light: the environment is black or missing and no point light "
@@ -229,12 +229,12 @@ Vec3f TraceScene::outward(const Hit& hit) const {
                  Vec3f::UnitZ());
 }
 
-SurfacePoint TraceScene::surface(const Hit& hit, const Vec3f& direction) const {
+ScenePoint TraceScene::surface(const Hit& hit, const Vec3f& direction) const {
   const Facet& t = triangles_[hit.triangle];
   const Material& material = materials_[meshes_[t.mesh].material];
   const float a = 1 - hit.b - hit.c;
   const float weight[3] = {a, hit.b, hit.c};
-  SurfacePoint point;
+  ScenePoint point;
   point.mesh = t.mesh;
   point.part = t.part;
   point.position = a * t.position[0] + hit.b * t.position[1] + hit.c * t.position[2];

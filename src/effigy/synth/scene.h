@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "effigy/capture/stage_capture.h"
 #include "effigy/geometry/mesh.h"
 #include "effigy/image/image.h"
 #include "effigy/light/environment_sampler.h"
@@ -30,14 +31,8 @@ struct SurfaceMaterial {
 };
 SurfaceMaterial constant_material(const Vec3f& albedo, float roughness, float specular);
 
-// Irradiance at distance d facing the light: intensity / d^2.
-struct PointLight {
-  Vec3f position = Vec3f::Zero();
-  Vec3f intensity = Vec3f::Ones();
-};
-
 // Where a ray meets a surface, and what is there. Normals face the ray's origin.
-struct SurfacePoint {
+struct ScenePoint {
   Vec3f position;
   Vec3f origin;     // for rays that leave: off the facets, on the smooth surface they stand for
   Vec3f geometric;  // of the facet
@@ -66,9 +61,9 @@ class TraceScene {
     environment_ = std::move(light);
   }
   // Throws Error for values that are not finite or negative.
-  void set_point_lights(std::vector<PointLight> lights);
+  void set_point_lights(std::vector<StageLight> lights);
   const EnvironmentSampler* environment() const { return environment_.get(); }
-  const std::vector<PointLight>& point_lights() const { return point_lights_; }
+  const std::vector<StageLight>& point_lights() const { return point_lights_; }
 
   // Indexes the posed meshes for rays. Throws Error when there is nothing to see.
   void commit();
@@ -84,7 +79,7 @@ class TraceScene {
   Hit closest(const Vec3f& origin, const Vec3f& direction, float near = 0.0f) const;
   // Opacity at a hit, 1 for opaque materials.
   float opacity(const Hit& hit) const;
-  SurfacePoint surface(const Hit& hit, const Vec3f& direction) const;
+  ScenePoint surface(const Hit& hit, const Vec3f& direction) const;
   // Of the facet as its corners turn, whichever side was hit.
   Vec3f outward(const Hit& hit) const;
   // The share of light that passes between two points: 0 or 1 where everything is opaque.
@@ -122,7 +117,7 @@ class TraceScene {
   std::vector<Material> materials_;
   std::vector<PosedMesh> meshes_;
   std::shared_ptr<const EnvironmentSampler> environment_;
-  std::vector<PointLight> point_lights_;
+  std::vector<StageLight> point_lights_;
   std::vector<Facet> triangles_;
   std::unique_ptr<RayScene> rays_;
   bool transparent_ = false;

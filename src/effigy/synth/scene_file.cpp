@@ -98,7 +98,7 @@ void add_lights(const Json& json, const Path& file, TraceScene& scene) {
     scene.set_environment(std::make_shared<EnvironmentSampler>(
         light, json_field_or<double>(sky, "rotation", file, 0.0) * std::numbers::pi / 180));
   }
-  std::vector<PointLight> lights;
+  std::vector<StageLight> lights;
   for (const Json& lamp : json_field_or<std::vector<Json>>(json, "point_lights", file, {}))
     lights.push_back({three(lamp, "position", file).cast<float>(),
                       three(lamp, "intensity", file).cast<float>()});

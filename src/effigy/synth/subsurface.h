@@ -40,7 +40,7 @@ class ScatterProfile {
 // A line through a surface near a point where light leaves, along the normal or a tangent there.
 struct ScatterProbe {
   // Length 0: the drawn distance is beyond the profile's reach.
-  ScatterProbe(const SurfacePoint& exit, const Vec2f& u_radius, const Vec2f& u_turn)
+  ScatterProbe(const ScenePoint& exit, const Vec2f& u_radius, const Vec2f& u_turn)
       : profile(exit.scatter), frame(exit.geometric) {
     const float radius = profile.sample(u_radius), reach = profile.reach();
     if (radius >= reach) return;
