@@ -30,6 +30,7 @@ inline StageCapture tiny_stage() {
   c.frames[0].fully_lit = true;
   c.frames[1].lights = {{0, 0.5f}, {2, 1.5f}};
   c.frames[1].split = StageSplit::kLights;
+  c.frames[1].cameras = {1};
   c.frames[2].environment = "lights/studio.exr";
   c.frames[2].split = StageSplit::kEnvironment;
   c.body_keypoint_names = {"hips", "head"};

@@ -16,6 +16,13 @@ std::vector<int> numbers(int count, int first = 0) {
   return out;
 }
 
+StageCapture capture_of(int frames, int cameras) {
+  StageCapture capture;
+  capture.frames.resize(static_cast<size_t>(frames));
+  capture.cameras.resize(static_cast<size_t>(cameras));
+  return capture;
+}
+
 TEST(StageSchedule, ShufflesArePermutations) {
   for (const uint64_t count : {1, 2, 3, 4, 5, 16, 17, 100, 1000, 4097})
     for (const uint64_t key : {0, 1, 77}) {
@@ -55,7 +62,11 @@ TEST(StageSchedule, ShufflesAreEven) {
 }
 
 TEST(StageSchedule, AnEpochShowsEachPairOnceAndTheNextInAnotherOrder) {
-  const StageSchedule s = StageSchedule::random(numbers(7, 100), numbers(5, 20), 3);
+  const StageCapture capture = capture_of(107, 25);
+  const auto schedule = [&](uint64_t seed) {
+    return StageSchedule::random(capture, numbers(7, 100), numbers(5, 20), seed);
+  };
+  const StageSchedule s = schedule(3);
   ASSERT_EQ(s.size(), 35u);
   std::vector<std::pair<int, int>> orders[2];
   for (uint64_t n = 0; n < 70; ++n) {
@@ -67,8 +78,7 @@ TEST(StageSchedule, AnEpochShowsEachPairOnceAndTheNextInAnotherOrder) {
   EXPECT_EQ(std::set(orders[0].begin(), orders[0].end()).size(), 35u);
   EXPECT_EQ(std::set(orders[1].begin(), orders[1].end()).size(), 35u);
   // The same seed says the same again at any number, another seed does not.
-  const StageSchedule again = StageSchedule::random(numbers(7, 100), numbers(5, 20), 3),
-                      other = StageSchedule::random(numbers(7, 100), numbers(5, 20), 4);
+  const StageSchedule again = schedule(3), other = schedule(4);
   int same = 0;
   for (uint64_t n = 0; n < 35; ++n) {
     EXPECT_EQ(again.view(n).frame, orders[0][n].first);
@@ -81,7 +91,8 @@ TEST(StageSchedule, AnEpochShowsEachPairOnceAndTheNextInAnotherOrder) {
 
 TEST(StageSchedule, GroupsShareAFrameAndNoCamera) {
   for (const int group : {2, 3, 4}) {
-    const StageSchedule s = StageSchedule::random(numbers(6), numbers(8), 9, group);
+    const StageSchedule s =
+        StageSchedule::random(capture_of(6, 8), numbers(6), numbers(8), 9, group);
     const uint64_t blocks = (8 + static_cast<uint64_t>(group) - 1) / static_cast<uint64_t>(group);
     ASSERT_EQ(s.size(), 6 * blocks * static_cast<uint64_t>(group));
     std::map<std::pair<int, int>, int> seen;
@@ -102,14 +113,44 @@ TEST(StageSchedule, GroupsShareAFrameAndNoCamera) {
 }
 
 TEST(StageSchedule, InOrderAndEmpty) {
-  const StageSchedule s = StageSchedule::in_order({4, 2}, {1, 0, 3});
+  const StageSchedule s = StageSchedule::in_order(capture_of(5, 4), {4, 2}, {1, 0, 3});
   ASSERT_EQ(s.size(), 6u);
   EXPECT_EQ(s.view(0).frame, 4);
   EXPECT_EQ(s.view(1).camera, 0);
   EXPECT_EQ(s.view(5).frame, 2);
   EXPECT_EQ(s.view(5).camera, 3);
-  EXPECT_TRUE(test::contains(test::error_of([] { StageSchedule::in_order({}, {1}); }), "frames"));
-  EXPECT_TRUE(test::contains(test::error_of([] { StageSchedule::random({1}, {}, 0); }), "cameras"));
+  const StageCapture c = capture_of(2, 2);
+  EXPECT_TRUE(
+      test::contains(test::error_of([&] { StageSchedule::in_order(c, {}, {1}); }), "no view"));
+  EXPECT_TRUE(
+      test::contains(test::error_of([&] { StageSchedule::random(c, {1}, {}, 0); }), "no view"));
+}
+
+TEST(StageSchedule, OnlyCamerasThatSawAFrame) {
+  StageCapture c = capture_of(5, 4);
+  c.frames[0].cameras = {1, 3};
+  c.frames[2].cameras = {0};
+  c.frames[3].cameras = {2};
+  const std::vector<int> frames = {0, 2, 3, 4}, cameras = {0, 1, 3};
+  std::set<std::pair<int, int>> wanted;
+  for (const int f : frames)
+    for (const int k : c.cameras_of(f, cameras)) wanted.emplace(f, k);
+  ASSERT_EQ(wanted.size(), 2u + 1u + 0u + 3u);
+  for (const bool random : {false, true}) {
+    const StageSchedule s = random ? StageSchedule::random(c, frames, cameras, 8)
+                                   : StageSchedule::in_order(c, frames, cameras);
+    ASSERT_EQ(s.size(), wanted.size());
+    std::set<std::pair<int, int>> seen;
+    for (uint64_t n = 0; n < s.size(); ++n) seen.emplace(s.view(n).frame, s.view(n).camera);
+    EXPECT_EQ(seen, wanted);
+  }
+  // Two views a frame: a frame that one camera saw is shown twice by it.
+  const StageSchedule pairs = StageSchedule::random(c, frames, cameras, 8, 2);
+  EXPECT_EQ(pairs.size(), 2u + 2u + 4u);
+  for (uint64_t n = 0; n < pairs.size(); ++n) {
+    EXPECT_EQ(pairs.view(n).frame, pairs.view(n ^ 1).frame);
+    EXPECT_TRUE(wanted.count({pairs.view(n).frame, pairs.view(n).camera}));
+  }
 }
 
 }  // namespace

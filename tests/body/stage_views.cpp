@@ -79,7 +79,7 @@ StageCapture write_stage(const Path& folder, int frames = kFrames, int cameras =
 }
 
 StageSchedule all_of(const StageCapture& c, uint64_t seed = 1) {
-  return StageSchedule::random(c.frames_of(StageSplit::kTrain), c.train_cameras(), seed);
+  return StageSchedule::random(c, c.frames_of(StageSplit::kTrain), c.train_cameras(), seed);
 }
 
 void damage(const StageCapture& c, int frame, int camera) {
@@ -242,8 +242,8 @@ TEST(StageViews, ADamagedViewIsReplacedOrLeftOutAndCounted) {
   StageViewsOptions once;
   once.endless = false;
   once.threads = 3;
-  StageViews views(source, StageSchedule::in_order(c.frames_of(StageSplit::kTrain), {0, 1, 2, 3}),
-                   once);
+  StageViews views(source,
+                   StageSchedule::in_order(c, c.frames_of(StageSplit::kTrain), {0, 1, 2, 3}), once);
   std::vector<int> shown;
   while (const std::optional<StageView> view = views.next())
     shown.push_back(kCameras * view->frame + view->camera);

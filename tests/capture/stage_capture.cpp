@@ -27,6 +27,9 @@ TEST(StageCapture, RoundTripKeepsEverything) {
   EXPECT_EQ(c.frames[2].number, 20);
   EXPECT_EQ(c.frames[2].environment, Path("lights/studio.exr"));
   EXPECT_EQ(c.frames[1].lights, written.frames[1].lights);
+  EXPECT_EQ(c.frames[1].cameras, std::vector<int>{1});
+  EXPECT_EQ(c.cameras_of(1, {0, 1}), std::vector<int>{1});
+  EXPECT_EQ(c.cameras_of(0, {0, 1}), (std::vector<int>{0, 1}));
   EXPECT_EQ(c.lights[0].intensity, Vec3f(1, 2, 3));
   EXPECT_EQ(c.body_keypoints, written.body_keypoints);
   EXPECT_EQ(c.face_keypoint_names, written.face_keypoint_names);
@@ -77,6 +80,8 @@ TEST(StageCapture, EachDamageIsNamed) {
   names([](Json& j) { j["frames"][2]["environment"] = "/etc/passwd"; }, "inside");
   names([](Json& j) { j["frames"][1]["split"] = "val"; }, "'split'");
   names([](Json& j) { j["frames"][1]["number"] = 0; }, "twice");
+  names([](Json& j) { j["frames"][1]["cameras"] = {2}; }, "'cameras'");
+  names([](Json& j) { j["frames"][1]["cameras"] = {1, 1}; }, "'cameras'");
   names([](Json& j) { j["truth"]["layers"] = {"smell"}; }, "smell");
   // More names than keypoints: tracking does not fit.
   EXPECT_TRUE(

@@ -2,14 +2,12 @@
 
 #include <zip.h>
 
-#include <algorithm>
-
 #include "effigy/base/error.h"
 
 namespace effigy {
 namespace {
 
-constexpr zip_int64_t kMostEntries = 10'000;
+constexpr zip_int64_t kMostEntries = 1'000'000;
 constexpr size_t kChunk = 1 << 18;
 
 struct FileCloser {
@@ -34,7 +32,7 @@ ZipArchive::ZipArchive(const Path& path, std::string what, std::string remedy)
     damaged(why);
   }
   const zip_int64_t entries = zip_get_num_entries(archive_.get(), 0);
-  if (entries > kMostEntries) damaged("more than 10000 entries");
+  if (entries > kMostEntries) damaged("more than a million entries");
   for (zip_int64_t i = 0; i < entries; ++i) {
     const char* name = zip_get_name(archive_.get(), static_cast<zip_uint64_t>(i), 0);
     names_.emplace_back(name != nullptr ? name : "");
@@ -42,15 +40,15 @@ ZipArchive::ZipArchive(const Path& path, std::string what, std::string remedy)
 }
 
 bool ZipArchive::has(const std::string& name) const {
-  return std::find(names_.begin(), names_.end(), name) != names_.end();
+  return zip_name_locate(archive_.get(), name.c_str(), 0) >= 0;
 }
 
 std::vector<uint8_t> ZipArchive::read(const std::string& name, uint64_t limit) const {
   const std::string entry = "the entry '" + name + "' ";
-  const auto found = std::find(names_.begin(), names_.end(), name);
-  if (found == names_.end()) damaged(entry + "is missing");
-  const auto index = static_cast<zip_uint64_t>(found - names_.begin());
-  const std::unique_ptr<zip_file_t, FileCloser> file(zip_fopen_index(archive_.get(), index, 0));
+  const zip_int64_t index = zip_name_locate(archive_.get(), name.c_str(), 0);
+  if (index < 0) damaged(entry + "is missing");
+  const std::unique_ptr<zip_file_t, FileCloser> file(
+      zip_fopen_index(archive_.get(), static_cast<zip_uint64_t>(index), 0));
   if (!file) damaged(entry + "cannot be opened");
   std::vector<uint8_t> bytes;
   std::vector<uint8_t> chunk(kChunk);

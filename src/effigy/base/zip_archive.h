@@ -16,7 +16,7 @@ class ZipArchive {
  public:
   // `what` and `remedy` complete the sentence of every error, also the later ones: "<path>: not a
   // readable <what> (...); <remedy>." Throws Error for a file that is missing or no archive, and
-  // for more than 10 000 entries.
+  // for more than a million entries.
   ZipArchive(const Path& path, std::string what, std::string remedy);
 
   const std::vector<std::string>& names() const { return names_; }

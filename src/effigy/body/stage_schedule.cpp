@@ -1,5 +1,6 @@
 #include "effigy/body/stage_schedule.h"
 
+#include <algorithm>
 #include <utility>
 
 #include "effigy/base/error.h"
@@ -32,43 +33,53 @@ uint64_t shuffled(uint64_t index, uint64_t count, uint64_t key) {
   return at;
 }
 
-StageSchedule::StageSchedule(std::vector<int> frames, std::vector<int> cameras, int views_per_frame)
-    : frames_(std::move(frames)),
-      cameras_(std::move(cameras)),
-      views_per_frame_(static_cast<uint64_t>(views_per_frame)) {
-  if (frames_.empty()) throw Error("The capture has no frames of the kind wanted; add some.");
-  if (cameras_.empty()) throw Error("The capture has no cameras of the kind wanted; add some.");
+StageSchedule::StageSchedule(const StageCapture& capture, const std::vector<int>& frames,
+                             const std::vector<int>& cameras, int views_per_frame)
+    : views_per_frame_(static_cast<uint64_t>(views_per_frame)) {
   EFFIGY_CHECK(views_per_frame > 0);
+  const bool alike = std::all_of(frames.begin(), frames.end(), [&](int frame) {
+    return capture.frames.at(static_cast<size_t>(frame)).cameras.empty();
+  });
+  if (alike) cameras_.push_back(cameras);
+  for (const int frame : frames) {
+    std::vector<int> saw = capture.cameras_of(frame, cameras);
+    if (saw.empty()) continue;
+    frames_.push_back(frame);
+    blocks_.push_back(blocks_.back() + (saw.size() + views_per_frame_ - 1) / views_per_frame_);
+    if (!alike) cameras_.push_back(std::move(saw));
+  }
+  if (frames_.empty())
+    throw Error(capture.folder.string() +
+                ": it has no view of the kind wanted (no such frames, or no such cameras); choose "
+                "other frames or another capture.");
 }
 
-StageSchedule StageSchedule::random(std::vector<int> frames, std::vector<int> cameras,
-                                    uint64_t seed, int views_per_frame) {
-  StageSchedule schedule(std::move(frames), std::move(cameras), views_per_frame);
+StageSchedule StageSchedule::random(const StageCapture& capture, const std::vector<int>& frames,
+                                    const std::vector<int>& cameras, uint64_t seed,
+                                    int views_per_frame) {
+  StageSchedule schedule(capture, frames, cameras, views_per_frame);
   schedule.seed_ = seed;
   schedule.random_ = true;
   return schedule;
 }
 
-StageSchedule StageSchedule::in_order(std::vector<int> frames, std::vector<int> cameras) {
-  return {std::move(frames), std::move(cameras), 1};
-}
-
-uint64_t StageSchedule::size() const {
-  const uint64_t blocks = (cameras_.size() + views_per_frame_ - 1) / views_per_frame_;
-  return frames_.size() * blocks * views_per_frame_;
+StageSchedule StageSchedule::in_order(const StageCapture& capture, const std::vector<int>& frames,
+                                      const std::vector<int>& cameras) {
+  return {capture, frames, cameras, 1};
 }
 
 StageViewKey StageSchedule::view(uint64_t number) const {
   const uint64_t epoch = number / size(), place = number % size();
-  if (!random_) return {frames_[place / cameras_.size()], cameras_[place % cameras_.size()]};
-  const uint64_t frames = frames_.size(), cameras = cameras_.size();
   const uint64_t key = mixed(seed_, 2 * epoch);
   // Blocks of views of one frame are shuffled; which cameras they hold is shuffled for each frame.
-  const uint64_t block = shuffled(place / views_per_frame_, size() / views_per_frame_, key);
-  const uint64_t frame = block % frames;
-  const uint64_t slot = block / frames * views_per_frame_ + place % views_per_frame_;
-  const uint64_t camera = shuffled(slot % cameras, cameras, mixed(key, 1 + frame));
-  return {frames_[frame], cameras_[camera]};
+  const uint64_t block = random_ ? shuffled(place / views_per_frame_, blocks_.back(), key) : place;
+  const auto frame = static_cast<size_t>(std::upper_bound(blocks_.begin(), blocks_.end(), block) -
+                                         blocks_.begin() - 1);
+  const std::vector<int>& cameras = cameras_[cameras_.size() > 1 ? frame : 0];
+  const uint64_t slot =
+      ((block - blocks_[frame]) * views_per_frame_ + place % views_per_frame_) % cameras.size();
+  const uint64_t camera = random_ ? shuffled(slot, cameras.size(), mixed(key, 1 + frame)) : slot;
+  return {frames_[frame], cameras[camera]};
 }
 
 }  // namespace effigy

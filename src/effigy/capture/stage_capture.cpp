@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <set>
 
 #include "effigy/base/log.h"
@@ -53,7 +54,7 @@ StageLight light_from(const Json& json, const Path& file) {
   return light;
 }
 
-StageFrame frame_from(const Json& json, size_t lights, const Path& file) {
+StageFrame frame_from(const Json& json, size_t cameras, size_t lights, const Path& file) {
   StageFrame frame;
   frame.number = json_field<int64_t>(json, "number", file);
   frame.seconds = json_field_or<double>(json, "seconds", file, 0.0);
@@ -74,6 +75,12 @@ StageFrame frame_from(const Json& json, size_t lights, const Path& file) {
                   " names a light that does not exist, or a negative amount; correct it.");
     frame.lights.emplace_back(light, amount);
   }
+  frame.cameras = json_field_or<std::vector<int>>(json, "cameras", file, {});
+  for (size_t k = 0; k < frame.cameras.size(); ++k)
+    if (frame.cameras[k] < (k > 0 ? frame.cameras[k - 1] + 1 : 0) ||
+        static_cast<size_t>(frame.cameras[k]) >= cameras)
+      throw Error(file.string() + ": field 'cameras' of frame " + std::to_string(frame.number) +
+                  " must be ascending numbers of cameras; correct it.");
   const int ways =
       (frame.fully_lit ? 1 : 0) + (frame.lights.empty() ? 0 : 1) + !frame.environment.empty();
   if (ways != 1 || frame.number < 0)
@@ -88,6 +95,7 @@ Json frame_json(const StageFrame& frame) {
   if (frame.fully_lit) json["fully_lit"] = true;
   if (!frame.lights.empty()) json["lights"] = frame.lights;
   if (!frame.environment.empty()) json["environment"] = frame.environment.string();
+  if (!frame.cameras.empty()) json["cameras"] = frame.cameras;
   return json;
 }
 
@@ -173,6 +181,15 @@ std::vector<int> StageCapture::frames_of(StageSplit split) const {
   std::vector<int> out;
   for (size_t f = 0; f < frames.size(); ++f)
     if (frames[f].split == split) out.push_back(static_cast<int>(f));
+  return out;
+}
+
+std::vector<int> StageCapture::cameras_of(int frame, const std::vector<int>& wanted) const {
+  const std::vector<int>& saw = frames.at(static_cast<size_t>(frame)).cameras;
+  if (saw.empty()) return wanted;
+  std::vector<int> out;
+  std::set_intersection(wanted.begin(), wanted.end(), saw.begin(), saw.end(),
+                        std::back_inserter(out));
   return out;
 }
 
@@ -267,17 +284,20 @@ StageCapture read_stage_capture(const Path& folder) {
       throw Error(file.string() + ": two cameras are called '" + capture.cameras.back().name +
                   "'; rename one.");
   }
+  if (capture.cameras.empty())
+    throw Error(file.string() + ": it has no cameras; make the capture again.");
   for (const Json& light : json_field<std::vector<Json>>(json, "lights", file))
     capture.lights.push_back(light_from(light, file));
   std::set<int64_t> numbers;
   for (const Json& frame : json_field<std::vector<Json>>(json, "frames", file)) {
-    capture.frames.push_back(frame_from(frame, capture.lights.size(), file));
+    capture.frames.push_back(
+        frame_from(frame, capture.cameras.size(), capture.lights.size(), file));
     if (!numbers.insert(capture.frames.back().number).second)
       throw Error(file.string() + ": frame " + std::to_string(capture.frames.back().number) +
                   " is listed twice; remove one.");
   }
-  if (capture.cameras.empty() || capture.frames.empty())
-    throw Error(file.string() + ": it has no cameras or no frames; make the capture again.");
+  if (capture.frames.empty())
+    throw Error(file.string() + ": it has no frames; make the capture again.");
   capture.body_keypoint_names = json_field<std::vector<std::string>>(json, "body_keypoints", file);
   capture.face_keypoint_names = json_field<std::vector<std::string>>(json, "face_keypoints", file);
   capture.rig = read_rig(folder / "rig.safetensors");

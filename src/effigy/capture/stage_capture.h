@@ -44,6 +44,7 @@ struct StageFrame {
   bool fully_lit = false;                     // all lights at amount 1
   std::vector<std::pair<int, float>> lights;  // of a partially lit frame: light and its amount
   Path environment;  // equirectangular EXR relative to the capture, instead of lights; else empty
+  std::vector<int> cameras;  // that saw it, ascending; empty: all
 };
 
 struct StageCapture {
@@ -74,6 +75,8 @@ struct StageCapture {
   std::vector<int> train_cameras() const;
   std::vector<int> test_cameras() const;
   std::vector<int> frames_of(StageSplit split) const;
+  // Those of `cameras` (ascending) that saw the frame.
+  std::vector<int> cameras_of(int frame, const std::vector<int>& cameras) const;
   // Lights of a frame at their amounts; empty when an environment lights it.
   std::vector<StageLight> lights_of(int frame) const;
 

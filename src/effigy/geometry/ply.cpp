@@ -6,6 +6,7 @@
 #include <cstring>
 #include <limits>
 #include <string_view>
+#include <utility>
 
 #include "effigy/base/error.h"
 
@@ -90,7 +91,8 @@ struct Element {
 
 class PlyReader {
  public:
-  explicit PlyReader(const Path& path) : path_(path), bytes_(read_file(path)) {}
+  PlyReader(std::vector<uint8_t> bytes, std::string name)
+      : name_(std::move(name)), bytes_(std::move(bytes)) {}
 
   PlyVertices read() {
     read_header();
@@ -110,7 +112,7 @@ class PlyReader {
 
  private:
   [[noreturn]] void fail(const std::string& what) const {
-    throw Error(path_.string() + ": " + what + "; write the PLY file again.");
+    throw Error(name_ + ": " + what + "; write the PLY file again.");
   }
 
   static bool is_space(uint8_t c) { return c == ' ' || c == '\t' || c == '\r' || c == '\n'; }
@@ -259,7 +261,7 @@ class PlyReader {
     }
   }
 
-  Path path_;
+  std::string name_;
   std::vector<uint8_t> bytes_;
   size_t at_ = 0;
   bool ascii_ = false;
@@ -275,7 +277,10 @@ int PlyVertices::find(const std::string& column) const {
 }
 
 PlyVertices read_ply_vertices(const Path& path) {
-  return PlyReader(path).read();
+  return parse_ply_vertices(read_file(path), path.string());
+}
+PlyVertices parse_ply_vertices(std::vector<uint8_t> bytes, const std::string& name) {
+  return PlyReader(std::move(bytes), name).read();
 }
 
 void write_ply_vertices(const Path& path, const PlyVertices& vertices) {

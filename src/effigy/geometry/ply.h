@@ -1,6 +1,7 @@
 // PLY files: the vertices as a table of numbers. Other elements are checked and passed over.
 #pragma once
 
+#include <cstdint>
 #include <string>
 #include <vector>
 
@@ -22,6 +23,8 @@ struct PlyVertices {
 // damaged, when it does not have exactly the size that the header says, or when a vertex holds a
 // list.
 PlyVertices read_ply_vertices(const Path& path);
+// The same from memory; `name` is for messages.
+PlyVertices parse_ply_vertices(std::vector<uint8_t> bytes, const std::string& name);
 
 // Writes binary_little_endian floats.
 void write_ply_vertices(const Path& path, const PlyVertices& vertices);
