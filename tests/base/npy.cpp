@@ -2,13 +2,13 @@
 #include "effigy/base/npy.h"
 
 #include <gtest/gtest.h>
-#include <zip.h>
 
 #include <cmath>
 #include <cstdlib>
 #include <cstring>
 
 #include "effigy/base/error.h"
+#include "write_zip.h"
 
 namespace effigy {
 namespace {
@@ -135,22 +135,12 @@ TEST(Npy, HostileFilesAreRefused) {
   }
 }
 
-void write_zip(const Path& path, const std::vector<std::pair<std::string, Bytes>>& entries) {
-  int code = 0;
-  zip_t* archive = zip_open(path.c_str(), ZIP_CREATE | ZIP_TRUNCATE, &code);
-  ASSERT_NE(archive, nullptr);
-  for (const auto& [name, bytes] : entries)
-    zip_file_add(archive, name.c_str(), zip_source_buffer(archive, bytes.data(), bytes.size(), 0),
-                 ZIP_FL_OVERWRITE);
-  ASSERT_EQ(zip_close(archive), 0);
-}
-
 TEST(Npz, ReadsArraysAndPassesObjectsOver) {
   const Path path = Path(::testing::TempDir()) / "arrays.npz";
-  write_zip(path, {{"a.npy", npy(head("<f4", "(2,)"), raw<float>({1, 2}))},
-                   {"b.npy", npy(head("<i8", "(1,)"), raw<int64_t>({9}))},
-                   {"objects.npy", npy(head("|O", "(1,)"), Bytes{0x80, 2, 'N', '.'})},
-                   {"notes.txt", Bytes{'h', 'i'}}});
+  test::write_zip(path, {{"a.npy", npy(head("<f4", "(2,)"), raw<float>({1, 2}))},
+                         {"b.npy", npy(head("<i8", "(1,)"), raw<int64_t>({9}))},
+                         {"objects.npy", npy(head("|O", "(1,)"), Bytes{0x80, 2, 'N', '.'})},
+                         {"notes.txt", Bytes{'h', 'i'}}});
   const auto arrays = read_npz(path);
   ASSERT_EQ(arrays.size(), 2u);
   EXPECT_EQ(arrays.at("a").floats(), (std::vector<float>{1, 2}));
@@ -159,7 +149,7 @@ TEST(Npz, ReadsArraysAndPassesObjectsOver) {
 
 TEST(Npz, DamagedArchivesAreRefused) {
   const Path path = Path(::testing::TempDir()) / "damaged.npz";
-  write_zip(path, {{"a.npy", npy(head("<f4", "(300,)"), Bytes(1200, 7))}});
+  test::write_zip(path, {{"a.npy", npy(head("<f4", "(300,)"), Bytes(1200, 7))}});
   Bytes bytes = read_file(path);
   for (const size_t length : {size_t{0}, size_t{10}, bytes.size() / 2, bytes.size() - 1}) {
     write_file(path, std::span(bytes).first(length));

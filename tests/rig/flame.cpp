@@ -2,7 +2,6 @@
 #include "effigy/rig/flame.h"
 
 #include <gtest/gtest.h>
-#include <zip.h>
 
 #include <cstdlib>
 
@@ -11,6 +10,7 @@
 #include "effigy/rig/rig_file.h"
 #include "rig/fake_flame.h"
 #include "rig/rig_oracle.h"
+#include "write_zip.h"
 
 namespace effigy {
 namespace {
@@ -159,16 +159,10 @@ TEST_F(Flame, EyelidsAndLandmarksBesideTheFile) {
   const std::vector<int64_t> points = {0, 477};
   const std::vector<uint32_t> faces = {7, 9975};
   const std::vector<double> weights = {0.5, 0.25, 0.25, 0, 0, 1};
-  int code = 0;
-  zip_t* archive = zip_open(at("mediapipe_landmark_embedding.npz").c_str(), ZIP_CREATE, &code);
-  const std::vector<std::pair<std::string, std::vector<uint8_t>>> entries = {
-      {"landmark_indices.npy", test::npy_bytes("<i8", "(2,)", points.data(), 16)},
-      {"lmk_face_idx.npy", test::npy_bytes("<u4", "(2,)", faces.data(), 8)},
-      {"lmk_b_coords.npy", test::npy_bytes("<f8", "(2, 3)", weights.data(), 48)}};
-  for (const auto& [name, bytes] : entries)
-    zip_file_add(archive, name.c_str(), zip_source_buffer(archive, bytes.data(), bytes.size(), 0),
-                 0);
-  ASSERT_EQ(zip_close(archive), 0);
+  test::write_zip(at("mediapipe_landmark_embedding.npz"),
+                  {{"landmark_indices.npy", test::npy_bytes("<i8", "(2,)", points.data(), 16)},
+                   {"lmk_face_idx.npy", test::npy_bytes("<u4", "(2,)", faces.data(), 8)},
+                   {"lmk_b_coords.npy", test::npy_bytes("<f8", "(2, 3)", weights.data(), 48)}});
   Json json;
   std::vector<int> full(70);
   std::vector<double> full_weights;

@@ -12,18 +12,19 @@ constexpr int kBorder = 4;  // pixels kept around the body
 
 }  // namespace
 
-std::vector<StageViewKey> scored_views(const std::vector<int>& frames,
+std::vector<StageViewKey> scored_views(const StageCapture& capture, const std::vector<int>& frames,
                                        const std::vector<int>& cameras, size_t most) {
   std::vector<StageViewKey> views;
-  const size_t all = frames.size() * cameras.size();
-  if (most == 0 || most >= all) {
-    for (const int frame : frames)
-      for (const int camera : cameras) views.push_back({frame, camera});
-    return views;
+  if (frames.empty() || cameras.empty()) return views;
+  const StageSchedule all = StageSchedule::in_order(capture, frames, cameras);
+  const auto size = static_cast<size_t>(all.size());
+  const size_t count = most == 0 ? size : std::min(most, size);
+  // Where whole frames are stepped over, cameras take turns.
+  const bool turns = size / count >= cameras.size();
+  for (size_t k = 0; k < count; ++k) {
+    const size_t at = k * size / count + (turns ? k % cameras.size() : 0);
+    views.push_back(all.view(std::min(at, size - 1)));
   }
-  // Frames evenly, cameras in turn.
-  for (size_t k = 0; k < most; ++k)
-    views.push_back({frames[k * frames.size() / most], cameras[k % cameras.size()]});
   return views;
 }
 

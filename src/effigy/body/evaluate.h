@@ -12,8 +12,8 @@
 
 namespace effigy {
 
-// Frames of a split seen by cameras; at most `most`, spread over both.
-std::vector<StageViewKey> scored_views(const std::vector<int>& frames,
+// Frames as these cameras saw them; at most `most` (0: all), spread over both.
+std::vector<StageViewKey> scored_views(const StageCapture& capture, const std::vector<int>& frames,
                                        const std::vector<int>& cameras, size_t most);
 
 struct BodyScore {

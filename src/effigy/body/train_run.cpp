@@ -32,7 +32,7 @@ class BodyTrainRun {
     if (frames.empty()) frames = capture.frames_of(StageSplit::kLights);
     std::vector<int> cameras = capture.test_cameras();
     if (cameras.empty()) cameras = capture.train_cameras();
-    if (!frames.empty()) held_out_ = scored_views(frames, cameras, kHeldOutViews);
+    if (!frames.empty()) held_out_ = scored_views(capture, frames, cameras, kHeldOutViews);
     if (!options.resume) return;
     trainer_.load_checkpoint(checkpoint_path());
     if (std::filesystem::exists(progress_path())) {

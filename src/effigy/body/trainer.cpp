@@ -85,7 +85,7 @@ void BodyTrainer::State::go_to(uint64_t number) {
   const uint64_t seed = settings.seed + kOrderSeeds * static_cast<uint64_t>(order);
   StageViewsOptions ahead;
   ahead.crop = {settings.crop, kBorder, seed};
-  views.emplace(source, StageSchedule::random(frames, cameras, seed), ahead, number);
+  views.emplace(source, StageSchedule::random(capture, frames, cameras, seed), ahead, number);
 }
 
 double BodyTrainer::State::rate_factor() const {

@@ -116,8 +116,6 @@ void put_poses(const std::vector<RigPose>& poses, const Rig& rig, TensorFile& fi
   put("translation", translation, 3);
 }
 
-namespace {
-
 Image8 to_channels(const Image8& image, int channels) {
   if (image.channels == channels) return image;
   Image8 out(image.width, image.height, channels);
@@ -127,8 +125,6 @@ Image8 to_channels(const Image8& image, int channels) {
         out.at(x, y)[c] = image.at(x, y)[image.channels >= 3 ? std::min(c, 2) : 0];
   return out;
 }
-
-}  // namespace
 
 Image8 read_view(const Path& path, const Camera& camera, int channels) {
   const Image8 image = read_image8(path);

@@ -64,6 +64,8 @@ Path path_inside(const Json& object, const std::string& field, const Path& file,
 std::vector<RigPose> poses_from(const TensorFile& file, const Rig& rig, size_t count);
 void put_poses(const std::vector<RigPose>& poses, const Rig& rig, TensorFile& file);
 
+// The picture with 1 or 3 channels: grey is repeated, alpha and all but the first left out.
+Image8 to_channels(const Image8& image, int channels);
 // An image of the camera's size with 1 or 3 channels. Throws Error naming the file.
 Image8 read_view(const Path& path, const Camera& camera, int channels);
 

@@ -44,7 +44,8 @@ std::array<float, 3> mean_colour(const StageSource& source) {
     if (capture.frames[static_cast<size_t>(frame)].fully_lit) frames.push_back(frame);
   std::array<double, 3> sum{};
   double weight = 0;
-  for (const StageViewKey& key : scored_views(frames, capture.train_cameras(), kColourViews)) {
+  for (const StageViewKey& key :
+       scored_views(capture, frames, capture.train_cameras(), kColourViews)) {
     const StageView view = source.view(key, {0, 0, 0});
     for (size_t p = 0; p < view.mask.size(); ++p) {
       weight += static_cast<double>(view.mask[p]);
@@ -122,12 +123,13 @@ BodyEvaluation evaluate_body(BodyAvatar& avatar, const StageCapture& capture,
        capture.frames_of(StageSplit::kEnvironment)}};
   int64_t total = 0, done = 0;
   for (const Wanted& w : wanted)
-    total += static_cast<int64_t>(scored_views(w.frames, cameras, options.most_views).size());
+    total +=
+        static_cast<int64_t>(scored_views(capture, w.frames, cameras, options.most_views).size());
   Progress progress("scoring", "views", total);
   for (const Wanted& w : wanted) {
     if (w.frames.empty()) continue;
     ViewGroup group{w.name, w.title, {}};
-    for (const StageViewKey& key : scored_views(w.frames, cameras, options.most_views)) {
+    for (const StageViewKey& key : scored_views(capture, w.frames, cameras, options.most_views)) {
       ViewScores scores;
       scores.view = key;
       if (full >= 0) scores.unlit = score_of(viewer.draw_in_light_of(key, full));

@@ -10,6 +10,7 @@ int run_synth(int argc, char** argv);
 int run_track(int argc, char** argv);  // effigy-learn
 int run_train(int argc, char** argv);
 int run_train_body(int argc, char** argv);  // effigy-learn
+int run_import(int argc, char** argv);
 int run_render(int argc, char** argv);
 int run_render_body(int argc, char** argv);  // effigy-learn
 int run_eval(int argc, char** argv);

@@ -9,6 +9,7 @@ namespace {
 const std::vector<Command> kCommands = {
     {"demo", run_demo, "one command, end to end, on a built-in capture"},
     {"track", hand_over, "a talking-head video to a capture"},
+    {"import", run_import, "a light-stage recording of others to a capture"},
     {"synth", run_synth, "a path-traced capture with the truth of every layer"},
     {"train", run_train, "a capture to an avatar"},
     {"render", run_render, "frames or a video of an avatar: drive, orbit, relight, buffers"},
