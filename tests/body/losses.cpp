@@ -74,6 +74,7 @@ struct Scene {
                                                    {"offset", w.offset},
                                                    {"normal", 0.7},
                                                    {"bound", w.bound},
+                                                   {"transfer", w.transfer},
                                                    {"albedo", w.albedo},
                                                    {"neg_color", w.neg_color}};
     double sum = 0;

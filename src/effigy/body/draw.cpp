@@ -5,6 +5,8 @@
 
 #include "effigy/base/error.h"
 #include "effigy/base/threads.h"
+#include "effigy/body/pbr.h"
+#include "effigy/light/spherical_harmonics.h"
 
 namespace effigy {
 namespace {
@@ -13,6 +15,50 @@ constexpr float kLeastAlpha = 1.0f / 255.0f;  // of a pixel that gets specular l
 constexpr float kLeastNormal = 1e-6f;         // length of a blended normal that means something
 constexpr float kNarrowest = 1e-3f;           // lobe
 constexpr size_t kGrain = 2048;
+
+constexpr int kDirectionsSize = 8;  // of the cubemap that stands for far lamps
+constexpr size_t kHarmonics = sh_count(kZonalOrder), kColouredHarmonics = 16;
+constexpr size_t kHarmonicCoefficients = 3 * kColouredHarmonics + kHarmonics - kColouredHarmonics;
+
+// Where coefficient i of channel c is: the coloured ones first.
+constexpr size_t harmonic_index(size_t i, size_t c) {
+  return i < kColouredHarmonics ? 3 * i + c : 2 * kColouredHarmonics + i;
+}
+
+// Radiance times solid angle is kept.
+Cubemap halved_to(Cubemap map, int size) {
+  while (map.size > size && map.size % 2 == 0) {
+    Cubemap half(map.size / 2);
+    for (int face = 0; face < 6; ++face)
+      for (int y = 0; y < half.size; ++y)
+        for (int x = 0; x < half.size; ++x) {
+          float* out =
+              &half.texels[3 * static_cast<size_t>((face * half.size + y) * half.size + x)];
+          double whole = 0, sum[3] = {};
+          for (int k = 0; k < 4; ++k) {
+            const int fx = 2 * x + k % 2, fy = 2 * y + k / 2;
+            const double angle = cubemap_solid_angle(fx, fy, map.size);
+            const float* in =
+                &map.texels[3 * static_cast<size_t>((face * map.size + fy) * map.size + fx)];
+            whole += angle;
+            for (int c = 0; c < 3; ++c) sum[c] += angle * static_cast<double>(in[c]);
+          }
+          for (int c = 0; c < 3; ++c) out[c] = static_cast<float>(sum[c] / whole);
+        }
+    map = std::move(half);
+  }
+  return map;
+}
+
+// Spherical harmonics of the lamps in the root's frame, r g b of each coefficient.
+std::vector<float> root_harmonics(const BodySurface& surface, const BodyLight& light) {
+  PointLights turned = light.lamps();
+  for (PointLight& lamp : turned.lights)
+    lamp.position = surface.world_from_root.transpose() *
+                    (lamp.directional ? lamp.position : Vec3f(lamp.position - surface.root));
+  turned.center = surface.world_from_root.transpose() * (turned.center - surface.root);
+  return sh_of_points(turned, Vec3f::Zero());
+}
 
 void zero(std::vector<float>& values, size_t count) {
   values.assign(count, 0.0f);
@@ -30,16 +76,37 @@ BodyLight body_light(const Cubemap& radiance) {
   BodyLight light;
   light.sh = sh_of_cubemap(radiance);
   light.lobes = std::make_shared<const LobeEnvironment>(radiance);
+  const Cubemap coarse = halved_to(radiance, kDirectionsSize);
+  for (int face = 0; face < 6; ++face)
+    for (int y = 0; y < coarse.size; ++y)
+      for (int x = 0; x < coarse.size; ++x) {
+        const auto i = static_cast<size_t>((face * coarse.size + y) * coarse.size + x);
+        const Vec3f given = Vec3f(&coarse.texels[3 * i]) *
+                            static_cast<float>(cubemap_solid_angle(x, y, coarse.size));
+        light.directions.lights.push_back(
+            {cubemap_direction(face, x, y, coarse.size), given, true});
+      }
   return light;
 }
 
-void BodySurfaceGradients::clear(size_t count) {
+BodyAppearance body_appearance_named(const std::string& name) {
+  if (name == "zonal") return BodyAppearance::kZonal;
+  if (name == "sh") return BodyAppearance::kHarmonics;
+  if (name == "pbr") return BodyAppearance::kPbr;
+  throw Error("'" + name + "' is no appearance of bodies; choose zonal, sh or pbr.");
+}
+
+size_t transfer_coefficients(BodyAppearance appearance) {
+  return appearance == BodyAppearance::kHarmonics ? kHarmonicCoefficients : kZonalCoefficients;
+}
+
+void BodySurfaceGradients::clear(size_t count, size_t transfer) {
   zero(center, 3 * count);
   zero(rotation, 4 * count);
   zero(scale, 3 * count);
   zero(opacity, count);
   zero(axes, 9 * count);
-  zero(zonal, kZonalCoefficients * count);
+  zero(zonal, transfer * count);
   zero(normal, 3 * count);
   zero(albedo, 3 * count);
   zero(roughness, count);
@@ -55,17 +122,21 @@ UvGaussianGradients BodySurfaceGradients::placed() const {
 struct BodyPicture::State {
   Planes image, radiance;
   GaussianFrame frame;
-  std::vector<float> features, position, diffuse_light, diffuse;
+  std::vector<float> features, position, diffuse_light, diffuse, harmonics;
   // Elements of specular light.
   std::vector<uint32_t> pixel;  // which; unused when not deferred
   std::vector<float> normal, inverse_length, to_camera, lobe, sigma, where, specular;
+  std::vector<float> blended, opaque;  // albedo times alpha, alpha (kPbr)
   double orient = 0;
   // Backward.
   Planes d_image;
   std::vector<float> d_features, d_light, d_position, d_specular, d_lobe, d_sigma, d_normal, unused;
+  std::vector<float> d_blended, d_opaque;
 
   size_t elements() const { return sigma.size(); }
-  void shade_texels(const BodySurface& surface, const BodyLight& light);
+  void shade_texels(const BodySurface& surface, const BodyLight& light,
+                    const BodyDrawOptions& options);
+  PbrView pbr_view() const;
   void fill_features(const Camera& camera, const BodySurface& surface,
                      const BodyDrawOptions& options);
   void gather_pixels(const Camera& camera, const BodyDrawOptions& options);
@@ -101,7 +172,12 @@ GaussianView BodyPicture::State::view(const BodySurface& surface,
   return {g.center, g.rotation, g.scale, g.opacity, features, channel_count(options)};
 }
 
-void BodyPicture::State::shade_texels(const BodySurface& surface, const BodyLight& light) {
+PbrView BodyPicture::State::pbr_view() const {
+  return {elements(), normal, to_camera, where, blended, opaque, sigma};
+}
+
+void BodyPicture::State::shade_texels(const BodySurface& surface, const BodyLight& light,
+                                      const BodyDrawOptions& options) {
   const size_t n = surface.count();
   position.resize(3 * n);
   diffuse_light.resize(3 * n);
@@ -110,8 +186,24 @@ void BodyPicture::State::shade_texels(const BodySurface& surface, const BodyLigh
     for (size_t c = 0; c < 3; ++c)
       for (size_t i = begin; i < end; ++i) position[c * n + i] = surface.placed.center[3 * i + c];
   });
-  shade_diffuse({light.points, light.sh}, {n, surface.placed.axes, position, surface.placed.zonal},
-                diffuse_light);
+  if (options.appearance == BodyAppearance::kZonal) {
+    shade_diffuse({light.points, light.sh},
+                  {n, surface.placed.axes, position, surface.placed.zonal}, diffuse_light);
+  } else if (options.appearance == BodyAppearance::kHarmonics) {
+    harmonics = root_harmonics(surface, light);
+    parallel_for(n, kGrain, [&](size_t begin, size_t end, int) {
+      for (size_t c = 0; c < 3; ++c) {
+        std::fill_n(&diffuse_light[c * n + begin], end - begin, 0.0f);
+        for (size_t k = 0; k < kHarmonics; ++k) {
+          const float* d = &surface.placed.zonal[harmonic_index(k, c) * n];
+          for (size_t i = begin; i < end; ++i)
+            diffuse_light[c * n + i] += harmonics[3 * k + c] * d[i];
+        }
+      }
+    });
+  } else {
+    std::fill(diffuse_light.begin(), diffuse_light.end(), 1.0f);
+  }
   parallel_for(n, kGrain, [&](size_t begin, size_t end, int) {
     for (size_t c = 0; c < 3; ++c)
       for (size_t i = begin; i < end; ++i)
@@ -202,6 +294,16 @@ void BodyPicture::State::gather_texels(const Camera& camera, const BodySurface& 
 
 void BodyPicture::State::shade_lobes(const BodyLight& light, const BodyDrawOptions& options) {
   const size_t m = elements();
+  if (options.appearance == BodyAppearance::kPbr) {
+    blended.resize(3 * m);
+    opaque.resize(m);
+    for (size_t e = 0; e < m; ++e) {
+      opaque[e] = image.plane(0)[pixel[e]];
+      for (size_t c = 0; c < 3; ++c)
+        blended[c * m + e] = image.plane(1 + kBodyDiffuse + static_cast<int>(c))[pixel[e]];
+    }
+    return shade_pbr(light.lamps(), pbr_view(), specular);
+  }
   reflect_views(m, normal, to_camera, lobe);
   shade_specular({light.points, light.lobes.get()}, options.sg_norm, {m, lobe, sigma, where},
                  specular);
@@ -211,6 +313,7 @@ void BodyPicture::State::compose(const BodyDrawOptions& options) {
   if (radiance.width != image.width || radiance.height != image.height)
     radiance = Planes(image.width, image.height, 3);
   const size_t pixels = image.pixels(), m = pixel.size();
+  const bool pbr = options.appearance == BodyAppearance::kPbr;
   const float *alpha = image.plane(0), *shadow = image.plane(1 + kBodyShadow);
   parallel_for(pixels, kGrain, [&](size_t begin, size_t end, int) {
     for (int c = 0; c < 3; ++c) {
@@ -218,8 +321,9 @@ void BodyPicture::State::compose(const BodyDrawOptions& options) {
       const float* gloss = options.deferred ? nullptr : image.plane(1 + kBodySpecular + c);
       float* out = radiance.plane(c);
       for (size_t p = begin; p < end; ++p)
-        out[p] = (colour[p] + (gloss != nullptr ? gloss[p] : 0.0f)) * shadow[p] *
-                 over_alpha(alpha[p], options);
+        out[p] = pbr ? 0.0f
+                     : (colour[p] + (gloss != nullptr ? gloss[p] : 0.0f)) * shadow[p] *
+                           over_alpha(alpha[p], options);
     }
   });
   if (!options.deferred) return;
@@ -227,7 +331,7 @@ void BodyPicture::State::compose(const BodyDrawOptions& options) {
   parallel_for(m, kGrain, [&](size_t begin, size_t end, int) {
     for (size_t e = begin; e < end; ++e) {
       const uint32_t p = pixel[e];
-      const float weight = visible[p] * shadow[p] * over_alpha(alpha[p], options);
+      const float weight = (pbr ? 1.0f : visible[p]) * shadow[p] * over_alpha(alpha[p], options);
       for (size_t c = 0; c < 3; ++c)
         radiance.plane(static_cast<int>(c))[p] += weight * specular[c * m + e];
     }
@@ -256,7 +360,8 @@ void BodyPicture::State::compose_backward(const BodyDrawOptions& options,
   d_shade.assign(pixels, 0.0f);
   const float *alpha = image.plane(0), *shadow = image.plane(1 + kBodyShadow);
   const float* visible = image.plane(1 + kBodyVisibility);
-  parallel_for(pixels, kGrain, [&](size_t begin, size_t end, int) {
+  const bool pbr = options.appearance == BodyAppearance::kPbr;
+  parallel_for(pbr ? 0 : pixels, kGrain, [&](size_t begin, size_t end, int) {
     for (int c = 0; c < 3; ++c) {
       const float* d = loss.radiance->plane(c);
       const float* colour = image.plane(1 + kBodyDiffuse + c);
@@ -278,10 +383,10 @@ void BodyPicture::State::compose_backward(const BodyDrawOptions& options,
         for (size_t c = 0; c < 3; ++c) {
           const float d = loss.radiance->plane(static_cast<int>(c))[p];
           light += d * specular[c * m + e];
-          d_specular[c * m + e] = d * shade * visible[p];
+          d_specular[c * m + e] = d * shade * (pbr ? 1.0f : visible[p]);
         }
-        d_image.plane(1 + kBodyVisibility)[p] = light * shade;
-        d_shade[p] += light * visible[p];
+        if (!pbr) d_image.plane(1 + kBodyVisibility)[p] = light * shade;
+        d_shade[p] += light * (pbr ? 1.0f : visible[p]);
       }
     });
   parallel_for(pixels, kGrain, [&](size_t begin, size_t end, int) {
@@ -300,6 +405,12 @@ void BodyPicture::State::lobes_backward(const BodyLight& light, const BodyDrawOp
   const size_t m = elements();
   for (auto* array : {&d_lobe, &d_normal, &unused}) array->assign(3 * m, 0.0f);
   d_sigma.assign(m, 0.0f);
+  if (options.appearance == BodyAppearance::kPbr) {
+    d_blended.assign(3 * m, 0.0f);
+    d_opaque.assign(m, 0.0f);
+    return shade_pbr_backward(light.lamps(), pbr_view(), d_specular,
+                              {d_normal, d_blended, d_opaque, d_sigma});
+  }
   shade_specular_backward({light.points, light.lobes.get()}, options.sg_norm,
                           {m, lobe, sigma, where}, d_specular, {d_lobe, d_sigma, {}});
   reflect_views_backward(m, normal, to_camera, d_lobe, d_normal, unused);
@@ -324,11 +435,16 @@ void BodyPicture::State::scatter_pixels(const BodyDrawOptions& options, float or
       if (facing < 0) d += each * facing * w;
       const Vec3f mean = inverse_length[e] * (d - d.dot(n) * n);
       for (int c = 0; c < 3; ++c) d_image.plane(1 + kBodyNormal + c)[p] += mean[c];
+      if (options.appearance == BodyAppearance::kPbr) {
+        for (size_t c = 0; c < 3; ++c)
+          d_image.plane(1 + kBodyDiffuse + static_cast<int>(c))[p] += d_blended[c * m + e];
+        d_image.plane(0)[p] += d_opaque[e];
+      }
       const float inverse = over_alpha(alpha[p], options);
-      const float blended = image.plane(1 + kBodyRoughness)[p];
-      if (blended * inverse <= kNarrowest) continue;
+      const float rough = image.plane(1 + kBodyRoughness)[p];
+      if (rough * inverse <= kNarrowest) continue;
       d_image.plane(1 + kBodyRoughness)[p] += d_sigma[e] * inverse;
-      if (options.divide_by_alpha) d_image.plane(0)[p] -= d_sigma[e] * blended * inverse * inverse;
+      if (options.divide_by_alpha) d_image.plane(0)[p] -= d_sigma[e] * rough * inverse * inverse;
     }
   });
 }
@@ -369,6 +485,17 @@ void BodyPicture::State::texels_backward(const BodySurface& surface, const BodyL
       gradients.shadow[i] += d[kBodyShadow];
     }
   });
+  if (options.appearance == BodyAppearance::kPbr) return;
+  if (options.appearance == BodyAppearance::kHarmonics) {
+    parallel_for(n, kGrain, [&](size_t begin, size_t end, int) {
+      for (size_t c = 0; c < 3; ++c)
+        for (size_t k = 0; k < kHarmonics; ++k) {
+          float* d = &gradients.zonal[harmonic_index(k, c) * n];
+          for (size_t i = begin; i < end; ++i) d[i] += harmonics[3 * k + c] * d_light[c * n + i];
+        }
+    });
+    return;
+  }
   shade_diffuse_backward({light.points, light.sh},
                          {n, surface.placed.axes, position, surface.placed.zonal}, d_light,
                          {gradients.axes, d_position, gradients.zonal, {}});
@@ -384,7 +511,8 @@ BodyPicture& BodyPicture::operator=(BodyPicture&&) noexcept = default;
 void BodyPicture::draw(const Camera& camera, const BodySurface& surface, const BodyLight& light,
                        const BodyDrawOptions& options) {
   State& s = *state_;
-  s.shade_texels(surface, light);
+  EFFIGY_CHECK(options.deferred || options.appearance != BodyAppearance::kPbr);
+  s.shade_texels(surface, light, options);
   if (!options.deferred) {
     s.gather_texels(camera, surface);
     s.shade_lobes(light, options);

@@ -12,6 +12,7 @@
 
 #include <memory>
 #include <span>
+#include <string>
 #include <vector>
 
 #include "effigy/body/uv_gaussians.h"
@@ -26,12 +27,29 @@ struct BodyLight {
   PointLights points;
   std::vector<float> sh;                         // sh_of_cubemap of an environment, or empty
   std::shared_ptr<const LobeEnvironment> lobes;  // of the same environment, or none
+  PointLights directions;                        // the environment as far lamps, for the baselines
+  // The points, or the directions of an environment.
+  const PointLights& lamps() const { return sh.empty() ? points : directions; }
 };
 BodyLight body_light(PointLights points);
 // Takes seconds for large cubemaps (LobeEnvironment).
 BodyLight body_light(const Cubemap& radiance);
 
+// How light becomes colour.
+enum class BodyAppearance {
+  kZonal,  // zonal harmonics on the Gaussian's axes (Eq. 8-9), and lobes: the method
+  // Baselines of the paper:
+  kHarmonics,  // spherical harmonics in the root's frame that do not turn with the surface, and
+               // lobes; light comes to all Gaussians from where it comes to the root
+  kPbr,        // Cook-Torrance (body/pbr.h) on the same Gaussians; deferred
+};
+// By name: zonal, sh, pbr. Throws Error for others.
+BodyAppearance body_appearance_named(const std::string& name);
+// Coefficients a Gaussian has: 51 or, of spherical harmonics, 3 x 16 + 65.
+size_t transfer_coefficients(BodyAppearance appearance);
+
 struct BodyDrawOptions {
+  BodyAppearance appearance = BodyAppearance::kZonal;
   bool deferred = true;         // else specular light is found for every Gaussian and splatted
   bool divide_by_alpha = true;  // see above
   SgNorm sg_norm = SgNorm::kCode;
@@ -41,10 +59,12 @@ struct BodyDrawOptions {
 // What drawing reads of n texels.
 struct BodySurface {
   UvGaussians placed;
-  std::vector<float> albedo;      // 3 a texel, linear
-  std::vector<float> roughness;   // width of the lobe, > 0
-  std::vector<float> visibility;  // of specular light, in [0, 1]
-  std::vector<float> shadow;      // in [0, 1]; empty: all lit
+  std::vector<float> albedo;                  // 3 a texel, linear
+  std::vector<float> roughness;               // width of the lobe, > 0
+  std::vector<float> visibility;              // of specular light, in [0, 1]
+  std::vector<float> shadow;                  // in [0, 1]; empty: all lit
+  Mat3f world_from_root = Mat3f::Identity();  // of the body
+  Vec3f root = Vec3f::Zero();                 // metres, world
   size_t count() const { return roughness.size(); }
 };
 
@@ -52,8 +72,8 @@ struct BodySurface {
 struct BodySurfaceGradients {
   std::vector<float> center, rotation, scale, opacity, axes, zonal, normal;
   std::vector<float> albedo, roughness, visibility, shadow;
-  // Sets all to zero, for `count` texels.
-  void clear(size_t count);
+  // Sets all to zero, for `count` texels with so many coefficients of transfer.
+  void clear(size_t count, size_t transfer = kZonalCoefficients);
   UvGaussianGradients placed() const;
 };
 

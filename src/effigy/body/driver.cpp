@@ -165,6 +165,9 @@ BodyMoment BodyDriver::moment(const RigPose& pose) const {
       out.insert(out.end(), local.data(), local.data() + 3);
     }
   };
+  const Affine root = transform(transforms, body_root_);
+  moment.world_from_root = root.leftCols<3>();
+  moment.root = root.col(3);
   fill(body_, body_root_, moment.body_keypoints);
   fill(face_, face_root_, moment.face_keypoints);
   return moment;

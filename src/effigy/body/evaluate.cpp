@@ -53,7 +53,7 @@ DrawnView BodyViewer::draw_in_light_of(const StageViewKey& key, int frame_of_lig
   const StageMoment lit_as =
       frame_of_light == key.frame ? *view_.moment : source.moment(frame_of_light);
   const auto light = moments_.light(lit_as);
-  model_.pose(StageMoments::moment(*view_.moment));
+  model_.pose(moments_.moment(*view_.moment));
   model_.light(moments_.irradiance(*view_.moment, lit_as));
   model_.look(view_.view.center().cast<float>());
   picture_.draw(view_.view, model_.surface(), *light, draw_options(settings_));

@@ -15,6 +15,10 @@ struct GaussianChannels {
   static constexpr size_t kMono = 47;      // 15: zonal harmonics [axis t, b, n][band 4..8]
   static constexpr size_t kNormal = 62;    // 3: delta n
   static constexpr size_t kCount = 65;
+  // With other coefficients than zonal harmonics between kColoured and the normal: their number,
+  // and where the normal is, of `count` channels.
+  static constexpr size_t transfer_of(size_t count) { return count - 14; }
+  static constexpr size_t normal_of(size_t count) { return count - 3; }
 };
 
 }  // namespace effigy

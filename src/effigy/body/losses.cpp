@@ -178,13 +178,14 @@ BodyLossValues body_texel_losses(const BodyTrainSettings& settings, double norma
                                  std::span<const float> diffuse, std::span<float> d_decoded,
                                  BodySurfaceGradients& gradients, std::span<float> d_diffuse) {
   const BodyWeights& w = settings.weights;
-  const size_t n = surface.count();
+  const size_t n = surface.count(), channels = decoded.size() / n;
   const double each = 1.0 / static_cast<double>(n);
   const bool relative = settings.bound == "relative";
-  double scale = 0, offset = 0, normal = 0, bound = 0, albedo = 0, negative = 0;
+  const size_t transfers = GaussianChannels::transfer_of(channels);
+  double scale = 0, offset = 0, normal = 0, bound = 0, albedo = 0, negative = 0, transfer = 0;
   for (size_t i = 0; i < n; ++i) {
-    const float* channel = &decoded[i * GaussianChannels::kCount];
-    float* d = &d_decoded[i * GaussianChannels::kCount];
+    const float* channel = &decoded[i * channels];
+    float* d = &d_decoded[i * channels];
     for (size_t c = 0; c < 3; ++c) {
       const double s = static_cast<double>(surface.placed.scale[3 * i + c]);
       scale += s / 3;
@@ -194,9 +195,10 @@ BodyLossValues body_texel_losses(const BodyTrainSettings& settings, double norma
       const double t = static_cast<double>(channel[GaussianChannels::kOffset + c]);
       offset += t * t;
       d[GaussianChannels::kOffset + c] += static_cast<float>(each * w.offset * 2 * t);
-      const double dn = static_cast<double>(channel[GaussianChannels::kNormal + c]);
+      const double dn = static_cast<double>(channel[GaussianChannels::normal_of(channels) + c]);
       normal += dn * dn;
-      d[GaussianChannels::kNormal + c] += static_cast<float>(each * normal_weight * 2 * dn);
+      d[GaussianChannels::normal_of(channels) + c] +=
+          static_cast<float>(each * normal_weight * 2 * dn);
       const double rho = static_cast<double>(surface.albedo[3 * i + c]);
       const double dark_rho = std::min(rho, 0.0);
       const double dark = static_cast<double>(std::min(diffuse[c * n + i], 0.0f));
@@ -206,13 +208,20 @@ BodyLossValues body_texel_losses(const BodyTrainSettings& settings, double norma
           each / 3 * (w.albedo * (rho > 0 ? 1 : (rho < 0 ? -1 : 0)) + w.neg_color * 2 * dark_rho));
       d_diffuse[c * n + i] += static_cast<float>(each / 3 * w.neg_color * 2 * dark);
     }
+    for (size_t k = 0; k < transfers; ++k) {
+      const double z = static_cast<double>(channel[GaussianChannels::kColoured + k]);
+      transfer += z * z / static_cast<double>(transfers);
+      d[GaussianChannels::kColoured + k] +=
+          static_cast<float>(each * w.transfer * 2 * z / static_cast<double>(transfers));
+    }
     const BoundCost rough = bound_cost(static_cast<double>(surface.roughness[i]),
                                        settings.roughness_low, settings.roughness_high, relative);
     bound += rough.cost;
     gradients.roughness[i] += static_cast<float>(each * w.bound * rough.slope);
   }
-  return {{"scale", scale * each}, {"offset", offset * each}, {"normal", normal * each},
-          {"bound", bound * each}, {"albedo", albedo * each}, {"neg_color", negative * each}};
+  return {{"scale", scale * each},       {"offset", offset * each},     {"normal", normal * each},
+          {"bound", bound * each},       {"transfer", transfer * each}, {"albedo", albedo * each},
+          {"neg_color", negative * each}};
 }
 
 }  // namespace effigy

@@ -44,8 +44,8 @@ BodyLossValues body_image_losses(const BodyTrainSettings& settings, const BodyTa
 void body_display(const BodyPicture& picture, const CameraColour& camera, const BodyTarget& target,
                   Planes& encoded);
 
-// Losses on the texels: scale, offset, normal, bound, albedo, neg_color. `normal_weight`: of
-// |delta n|^2 at this moment. `diffuse`: BodyPicture::diffuse(). Adds to d_decoded, `gradients`
+// Losses on the texels: scale, offset, normal, bound, transfer, albedo, neg_color. `normal_weight`:
+// of |delta n|^2 at this moment. `diffuse`: BodyPicture::diffuse(). Adds to d_decoded, `gradients`
 // and d_diffuse (3 planes).
 BodyLossValues body_texel_losses(const BodyTrainSettings& settings, double normal_weight,
                                  std::span<const float> decoded, const BodySurface& surface,

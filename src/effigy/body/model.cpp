@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "effigy/base/error.h"
+#include "effigy/light/zonal.h"
 
 namespace effigy {
 namespace {
@@ -11,6 +12,27 @@ namespace {
 constexpr float kStartAlbedo = 0.5f, kStartRoughness = 0.2f;
 constexpr const char* kAlbedo = "maps.albedo";
 constexpr const char* kRoughness = "maps.log_roughness";
+
+// Spherical harmonics of a Lambertian lobe about each texel's normal at rest, in the layout of
+// transfer coefficients (48 coloured, 65 grey); empty for zonal harmonics.
+std::vector<float> start_transfer(const Mesh& mesh, const UvTexels& texels, int transfer) {
+  if (transfer == static_cast<int>(kZonalCoefficients)) return {};
+  const TexelFrames rest = texel_frames(texels, mesh.vertices, mesh.triangles);
+  const size_t n = texels.count();
+  std::vector<float> start(static_cast<size_t>(transfer) * n);
+  constexpr size_t kColoured = 16;
+  for (size_t i = 0; i < n; ++i) {
+    const double normal[3] = {static_cast<double>(rest.rotation[9 * i + 2]),
+                              static_cast<double>(rest.rotation[9 * i + 5]),
+                              static_cast<double>(rest.rotation[9 * i + 8])};
+    double sh[sh_count(kZonalOrder)];
+    zonal_to_sh(lambert_zonal().data(), normal, sh);
+    for (size_t k = 0; k < sh_count(kZonalOrder); ++k)
+      for (size_t c = 0; c < (k < kColoured ? 3u : 1u); ++c)
+        start[(k < kColoured ? 3 * k + c : 2 * kColoured + k) * n + i] = static_cast<float>(sh[k]);
+  }
+  return start;
+}
 
 }  // namespace
 
@@ -21,6 +43,7 @@ BodyModel::BodyModel(const Mesh& mesh, const BodyNetworkSettings& settings, uint
       networks_(settings, texels_.texel, seed) {
   maps_.albedo.assign(3 * texels_.count(), kStartAlbedo);
   maps_.log_roughness.assign(texels_.count(), std::log(kStartRoughness));
+  start_transfer_ = start_transfer(mesh, texels_, settings.transfer);
 }
 
 BodyModel::BodyModel(const Mesh& mesh, const TensorFile& file)
@@ -31,6 +54,7 @@ BodyModel::BodyModel(const Mesh& mesh, const TensorFile& file)
     throw Error(file.path.string() +
                 ": the networks belong to a mesh with another atlas than the rig beside them; "
                 "train again.");
+  start_transfer_ = start_transfer(mesh, texels_, networks_.settings().transfer);
   const auto count = static_cast<int64_t>(texels_.count());
   maps_.albedo = file.floats(kAlbedo, {count, 3});
   maps_.log_roughness = file.floats(kRoughness, {count});
@@ -47,6 +71,10 @@ void BodyModel::pose(const BodyMoment& moment) {
   frames_ = texel_frames(texels_, moment.vertices, triangles_);
   decoded_ = networks_.decode(moment.body_keypoints, moment.face_keypoints);
   place_gaussians(texels_, frames_, decoded_, surface_.placed);
+  for (size_t i = 0; i < start_transfer_.size(); ++i)
+    surface_.placed.zonal[i] += start_transfer_[i];
+  surface_.world_from_root = moment.world_from_root;
+  surface_.root = moment.root;
   const size_t n = texels_.count();
   if (mesh_normals_)
     for (size_t i = 0; i < n; ++i)

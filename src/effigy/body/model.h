@@ -45,7 +45,7 @@ class BodyModel {
   void light(std::span<const float> irradiance);  // shadow_side^2; empty: no shadow
   void look(const Vec3f& eye);
   const BodySurface& surface() const { return surface_; }
-  // Of the last pose: GaussianChannels::kCount numbers a texel, valid until the next.
+  // Of the last pose: numbers of every texel (gaussian_channels.h), valid until the next.
   std::span<const float> decoded() const { return decoded_; }
 
   // From the derivatives by the surface (and, already in d_decoded, by the decoded numbers) to
@@ -59,6 +59,9 @@ class BodyModel {
   BodyNetworks networks_;
   BodyMaps maps_;
   bool mesh_normals_ = false;
+  // Added to the decoded coefficients where they are spherical harmonics: Lambert about the normal
+  // at rest, planes; else empty.
+  std::vector<float> start_transfer_;
   TexelFrames frames_;
   BodySurface surface_;
   std::span<const float> decoded_;

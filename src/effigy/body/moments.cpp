@@ -39,8 +39,11 @@ PointLights StageMoments::points(const StageMoment& at) const {
   return points;
 }
 
-BodyMoment StageMoments::moment(const StageMoment& at) {
-  return {at.vertices, at.body_keypoints, at.face_keypoints};
+BodyMoment StageMoments::moment(const StageMoment& at) const {
+  const std::array<float, 12>& root =
+      source_.capture().body_from_rest[static_cast<size_t>(at.frame)];
+  const Eigen::Map<const Eigen::Matrix<float, 3, 4, Eigen::RowMajor>> world(root.data());
+  return {at.vertices, at.body_keypoints, at.face_keypoints, world.leftCols<3>(), world.col(3)};
 }
 
 const RayScene& StageMoments::rays(const StageMoment& at) {

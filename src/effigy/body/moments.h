@@ -24,7 +24,7 @@ class StageMoments {
   StageMoments(const StageSource& source, const UvTexels& shadow_texels,
                const BodyTrainSettings& settings);
 
-  static BodyMoment moment(const StageMoment& at);
+  BodyMoment moment(const StageMoment& at) const;
   // Irradiance picture in the light of a frame (its own, or another's), found when it is first
   // asked for; empty without a shadow network.
   const std::vector<float>& irradiance(const StageMoment& at, const StageMoment& lit_as);

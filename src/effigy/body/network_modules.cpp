@@ -60,7 +60,7 @@ BodyModules::BodyModules(const BodyNetworkSettings& s, ParameterMaker& make)
   seed_.emplace_back(make, "seed.0", s.body_latent + s.face_latent,
                      s.seed_channels * kSeedSide * kSeedSide);
   view_independent_ = make_decoder(make, "view_independent.", s.seed_channels, s.decoder,
-                                   static_cast<int64_t>(GaussianChannels::kCount), s.tied_last);
+                                   s.channels(), s.tied_last);
   view_.emplace_back(make, "view_dependent.view", 3, kViewChannels);
   view_dependent_ = make_decoder(make, "view_dependent.", s.seed_channels + kViewChannels,
                                  s.decoder, 1, s.tied_last);

@@ -20,6 +20,7 @@ void visit_settings(Settings& s, Visit&& visit) {
   visit("shadow_side", s.shadow_side);
   visit("shadow_width", s.shadow_width);
   visit("tied_last", s.tied_last);
+  visit("transfer", s.transfer);
 }
 
 }  // namespace
@@ -86,6 +87,7 @@ void BodyNetworkSettings::check(const std::string& name) const {
     throw Error(name + ": 'shadow_side' is " + std::to_string(shadow_side) +
                 ", expected a multiple of " + std::to_string(1 << (kShadowLevels - 1)) + ".");
   in_range("shadow_width", shadow_width, 1, 4096);
+  in_range("transfer", transfer, 1, 4096);
 }
 
 Json to_json(const BodyNetworkSettings& settings) {

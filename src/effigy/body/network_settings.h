@@ -27,6 +27,10 @@ struct BodyNetworkSettings {
   int shadow_side = 0, shadow_width = 0;
   // One bias per channel instead of one per channel and texel in the decoders' last layers.
   bool tied_last = false;
+  int transfer = 51;  // coefficients of light transfer that the view-independent decoder makes
+
+  // Channels of that decoder (gaussian_channels.h).
+  int channels() const { return 14 + transfer; }
 
   // Texels along each side of the UV picture: 8 times 2 to the number of doublings.
   int texture() const { return kSeedSide << (decoder.size() + 1); }

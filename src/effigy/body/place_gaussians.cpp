@@ -60,7 +60,7 @@ struct Texel {
   Vec3f n;           // (0, 0, 1) + delta n
   float n_length;
 
-  Texel(const float* rotation, const float* x) {
+  Texel(const float* rotation, const float* x, size_t channels) {
     tbn = Eigen::Map<const Eigen::Matrix<float, 3, 3, Eigen::RowMajor>>(rotation);
     const Eigen::Quaternionf turn(tbn);
     tbn_q = Vec4f(turn.w(), turn.x(), turn.y(), turn.z()).normalized();
@@ -68,7 +68,7 @@ struct Texel {
     q_length = q.norm();
     q = q_length > 0 ? Vec4f(q / q_length) : Vec4f(1, 0, 0, 0);
     delta = matrix_of(q);
-    n = Vec3f(x + Channels::kNormal) + Vec3f(0, 0, 1);
+    n = Vec3f(x + Channels::normal_of(channels)) + Vec3f(0, 0, 1);
     n_length = n.norm();
   }
 };
@@ -95,7 +95,9 @@ const std::array<float, kZonal>& start_zonal() {
 void place_gaussians(const UvTexels& texels, const TexelFrames& frames,
                      std::span<const float> decoded, UvGaussians& gaussians) {
   const size_t count = texels.count();
-  EFFIGY_CHECK_EQ(decoded.size(), Channels::kCount * count);
+  const size_t channels = decoded.size() / count, transfer = Channels::transfer_of(channels);
+  EFFIGY_CHECK(channels > 14);
+  EFFIGY_CHECK_EQ(decoded.size(), channels * count);
   EFFIGY_CHECK_EQ(frames.rotation.size(), 9 * count);
   UvGaussians& g = gaussians;
   g.center.resize(3 * count);
@@ -103,14 +105,14 @@ void place_gaussians(const UvTexels& texels, const TexelFrames& frames,
   g.scale.resize(3 * count);
   g.opacity.resize(count);
   g.axes.resize(9 * count);
-  g.zonal.resize(kZonal * count);
+  g.zonal.resize(transfer * count);
   g.normal.resize(3 * count);
   const auto& start = start_zonal();
   const auto start_opacity = static_cast<float>(std::log(kStartOpacity / (1 - kStartOpacity)));
   parallel_for(count, kGrain, [&](size_t begin, size_t end, int) {
     for (size_t i = begin; i < end; ++i) {
-      const float* x = &decoded[Channels::kCount * i];
-      const Texel texel(&frames.rotation[9 * i], x);
+      const float* x = &decoded[channels * i];
+      const Texel texel(&frames.rotation[9 * i], x, channels);
       Eigen::Map<Vec3f>(&g.center[3 * i]) =
           Vec3f(&frames.position[3 * i]) +
           static_cast<float>(kOffsetUnit) * (texel.tbn * Vec3f(x + Channels::kOffset));
@@ -127,8 +129,9 @@ void place_gaussians(const UvTexels& texels, const TexelFrames& frames,
           g.axes[(3 * axis + c) * count + i] =
               r(static_cast<Eigen::Index>(c), static_cast<Eigen::Index>(axis));
       for (size_t c = 0; c < 3; ++c) g.normal[c * count + i] = normal[static_cast<int>(c)];
-      for (size_t c = 0; c < kZonal; ++c)
-        g.zonal[c * count + i] = x[Channels::kColoured + c] + start[c];
+      for (size_t c = 0; c < transfer; ++c)
+        g.zonal[c * count + i] =
+            x[Channels::kColoured + c] + (transfer == kZonal ? start[c] : 0.0f);
     }
   });
 }
@@ -138,15 +141,16 @@ void place_gaussians_backward(const UvTexels& texels, const TexelFrames& frames,
                               std::span<float> d_decoded) {
   const size_t count = texels.count();
   const UvGaussianGradients& d = gradients;
-  EFFIGY_CHECK_EQ(decoded.size(), Channels::kCount * count);
+  const size_t channels = decoded.size() / count, transfer = Channels::transfer_of(channels);
+  EFFIGY_CHECK_EQ(decoded.size(), channels * count);
   EFFIGY_CHECK_EQ(d_decoded.size(), decoded.size());
   const auto start_opacity = static_cast<float>(std::log(kStartOpacity / (1 - kStartOpacity)));
   parallel_for(count, kGrain, [&](size_t begin, size_t end, int) {
     for (size_t i = begin; i < end; ++i) {
-      const float* x = &decoded[Channels::kCount * i];
-      float* d_x = &d_decoded[Channels::kCount * i];
-      std::fill_n(d_x, Channels::kCount, 0.0f);
-      const Texel texel(&frames.rotation[9 * i], x);
+      const float* x = &decoded[channels * i];
+      float* d_x = &d_decoded[channels * i];
+      std::fill_n(d_x, channels, 0.0f);
+      const Texel texel(&frames.rotation[9 * i], x, channels);
       if (!d.center.empty())
         Eigen::Map<Vec3f>(d_x + Channels::kOffset) =
             static_cast<float>(kOffsetUnit) * (texel.tbn.transpose() * Vec3f(&d.center[3 * i]));
@@ -166,7 +170,8 @@ void place_gaussians_backward(const UvTexels& texels, const TexelFrames& frames,
         const Vec3f n = texel.n / texel.n_length;
         d_r += up * n.transpose();
         const Vec3f d_n = (texel.tbn * texel.delta).transpose() * up;
-        Eigen::Map<Vec3f>(d_x + Channels::kNormal) = (d_n - n.dot(d_n) * n) / texel.n_length;
+        Eigen::Map<Vec3f>(d_x + Channels::normal_of(channels)) =
+            (d_n - n.dot(d_n) * n) / texel.n_length;
       }
       if (texel.q_length > 0) {
         Vec4f d_q = matrix_backward(texel.q, texel.tbn.transpose() * d_r);
@@ -175,7 +180,7 @@ void place_gaussians_backward(const UvTexels& texels, const TexelFrames& frames,
         Eigen::Map<Vec4f>(d_x + Channels::kRotation) =
             (d_q - texel.q.dot(d_q) * texel.q) / texel.q_length;
       }
-      for (size_t c = 0; !d.zonal.empty() && c < kZonal; ++c)
+      for (size_t c = 0; !d.zonal.empty() && c < transfer; ++c)
         d_x[Channels::kColoured + c] = d.zonal[c * count + i];
     }
   });

@@ -43,8 +43,12 @@ std::vector<float> shade_of(const BodyModel& model, const BodyLight& light) {
   std::vector<float> position(3 * n), shade(3 * n);
   for (size_t i = 0; i < n; ++i)
     for (size_t c = 0; c < 3; ++c) position[c * n + i] = surface.placed.center[3 * i + c];
-  shade_diffuse({light.points, light.sh}, {n, surface.placed.axes, position, surface.placed.zonal},
-                shade);
+  // Every appearance starts as Lambert about the normal.
+  std::vector<float> lambert(kZonalCoefficients * n);
+  for (size_t l = 0; l < kZonalBands; ++l)
+    for (size_t c = 0; c < (l < kZonalColourBands ? 3u : 1u); ++c)
+      std::fill_n(&lambert[zonal_index(2, l, c) * n], n, static_cast<float>(lambert_zonal()[l]));
+  shade_diffuse({light.points, light.sh}, {n, surface.placed.axes, position, lambert}, shade);
   if (!surface.shadow.empty())
     for (size_t c = 0; c < 3; ++c)
       for (size_t i = 0; i < n; ++i) shade[c * n + i] *= surface.shadow[i];
@@ -95,7 +99,7 @@ void start_albedo(StageMoments& moments, BodyModel& model) {
   Fit fit{std::vector<double>(3 * n), std::vector<double>(3 * n)};
   for (const int frame : spread(frames, kFrames)) {
     const StageMoment at = moments.source().moment(frame);
-    model.pose(StageMoments::moment(at));
+    model.pose(moments.moment(at));
     model.light(moments.irradiance(at, at));
     const std::vector<float> shade = shade_of(model, *moments.light(at));
     for (const int camera : spread(capture.train_cameras(), kCameras))

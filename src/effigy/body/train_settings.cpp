@@ -28,6 +28,7 @@ constexpr auto kList = [](auto& s, auto&& visit) {
   visit("weight.normal_orient", s.weights.normal_orient);
   visit("weight.alpha_sparsity", s.weights.alpha_sparsity);
   visit("weight.albedo", s.weights.albedo);
+  visit("weight.transfer", s.weights.transfer);
   visit("weight.neg_color", s.weights.neg_color);
   visit("normal_anneal", s.normal_anneal);
   visit("final_rate_factor", s.final_rate_factor);
@@ -46,6 +47,7 @@ constexpr auto kList = [](auto& s, auto&& visit) {
   visit("sg_norm", s.sg_norm);
   visit("deferred", s.deferred);
   visit("shadow", s.shadow);
+  visit("appearance", s.appearance);
   visit("normals", s.normals);
   visit("shadow_samples", s.shadow_samples);
   visit("environment_from", s.environment_from);
@@ -80,6 +82,9 @@ void check(const BodyTrainSettings& s, const std::string& name) {
   require(s.mask_border >= 0 && s.mask_border <= 64, "mask_border must be 0 to 64");
   require(s.sg_norm == "code" || s.sg_norm == "pi32" || s.sg_norm == "unit",
           "sg_norm must be code, pi32 or unit");
+  require(s.appearance == "zonal" || s.appearance == "sh" || s.appearance == "pbr",
+          "appearance must be zonal, sh or pbr");
+  require(s.appearance != "pbr" || s.deferred, "appearance pbr is deferred; leave deferred true");
   require(s.normals == "gaussian" || s.normals == "mesh", "normals must be gaussian or mesh");
   require(s.shadow_samples >= 1 && s.shadow_samples <= 65536, "shadow_samples must be 1 to 65536");
   require(s.environment_from >= 1, "environment_from must be at least 1");
@@ -108,6 +113,7 @@ BodyTrainSettings BodyTrainSettings::from_preset(const std::string& name) {
 void BodyTrainSettings::make_paper_literal() {
   paper_literal = true;
   weights.pyramid = 0;
+  weights.transfer = 0;
   bound = "paper";
   compensate = false;
   divide_by_alpha = false;

@@ -28,6 +28,7 @@ struct BodyWeights {
   double normal_orient = 0.1;  // normals that look away from the camera
   double alpha_sparsity = 0.1;
   double albedo = 0.01;     // mean |albedo|
+  double transfer = 0.05;   // mean square of what is learned of transfer; not in the paper
   double neg_color = 0.01;  // mean square of negative diffuse colours and albedos
 };
 
@@ -55,6 +56,7 @@ struct BodyTrainSettings {
   std::string sg_norm = "code";        // code, pi32, unit (light/spherical_gaussian.h)
   bool deferred = true;                // specular light per pixel; else per Gaussian
   bool shadow = true;                  // the shadow network
+  std::string appearance = "zonal";    // or the paper's baselines "sh" and "pbr" (body/draw.h)
   std::string normals = "gaussian";    // of specular light: "gaussian" (Eq. 10) or "mesh"
   int shadow_samples = 16;             // rays a texel for irradiance
   int environment_from = 65;           // lights from which a frame counts as lit by an environment

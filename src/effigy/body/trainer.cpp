@@ -33,15 +33,19 @@ void scale_keypoints(const StageSource& source, BodyNetworks& networks) {
 
 BodyNetworkSettings network_settings(const StageCapture& capture,
                                      const BodyTrainSettings& settings) {
-  return BodyNetworkSettings::from_size(settings.size,
-                                        static_cast<int>(capture.body_keypoint_names.size()),
-                                        static_cast<int>(capture.face_keypoint_names.size()));
+  BodyNetworkSettings networks = BodyNetworkSettings::from_size(
+      settings.size, static_cast<int>(capture.body_keypoint_names.size()),
+      static_cast<int>(capture.face_keypoint_names.size()));
+  networks.transfer =
+      static_cast<int>(transfer_coefficients(body_appearance_named(settings.appearance)));
+  return networks;
 }
 
 }  // namespace
 
 BodyDrawOptions draw_options(const BodyTrainSettings& settings) {
   BodyDrawOptions options;
+  options.appearance = body_appearance_named(settings.appearance);
   options.deferred = settings.deferred;
   options.divide_by_alpha = settings.divide_by_alpha;
   options.raster.compensate = settings.compensate;
@@ -114,6 +118,7 @@ double BodyTrainer::State::total(const BodyLossValues& values) const {
                                                  {"bound", w.bound},
                                                  {"albedo", w.albedo},
                                                  {"neg_color", w.neg_color},
+                                                 {"transfer", w.transfer},
                                                  {"normal_orient", w.normal_orient}};
   double sum = 0;
   for (const auto& [name, value] : values) sum += weights.at(name) * value;
@@ -128,7 +133,7 @@ void BodyTrainer::State::draw_view(BodyLossValues& mean) {
   target.display = capture.display;
   const int camera = view.camera;
   const auto light = moments.light(*view.moment);
-  model.pose(StageMoments::moment(*view.moment));
+  model.pose(moments.moment(*view.moment));
   model.light(moments.irradiance(*view.moment, *view.moment));
   model.look(view.view.center().cast<float>());
   const BodySurface& surface = model.surface();
@@ -137,8 +142,8 @@ void BodyTrainer::State::draw_view(BodyLossValues& mean) {
   const CameraColour& colour = colours[static_cast<size_t>(camera)];
   BodyLossValues values = body_image_losses(settings, target, colour, picture, d_image);
   const size_t n = surface.count();
-  d_surface.clear(n);
-  d_decoded.assign(n * GaussianChannels::kCount, 0.0f);
+  d_surface.clear(n, transfer_coefficients(options.appearance));
+  d_decoded.assign(model.decoded().size(), 0.0f);
   d_diffuse.assign(3 * n, 0.0f);
   values.merge(body_texel_losses(settings, normal_weight(), model.decoded(), surface,
                                  picture.diffuse(), d_decoded, d_surface, d_diffuse));

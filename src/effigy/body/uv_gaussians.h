@@ -58,13 +58,15 @@ struct UvGaussians {
   std::vector<float> scale;     // 3 a texel: softplus, the spacing where the decoder says zero
   std::vector<float> opacity;   // 1 a texel: sigmoid
   std::vector<float> axes;      // 9 planes: t, b, n, the columns of R
-  std::vector<float> zonal;     // 51 planes: Lambert about n where the decoder says zero
-  std::vector<float> normal;    // 3 planes: of specular light, R ((0, 0, 1) + delta n) normalised
+  // 51 planes: Lambert about n where the decoder says zero; of other coefficients of transfer as
+  // many as the decoder has, as it says.
+  std::vector<float> zonal;
+  std::vector<float> normal;  // 3 planes: of specular light, R ((0, 0, 1) + delta n) normalised
 };
 
-// decoded: 65 numbers a texel (gaussian_channels.h). delta R is the quaternion (1, 0, 0, 0) plus
-// the decoder's; all zero, it is the identity and has no gradient. delta n is added in the
-// Gaussian's own frame, so that it turns with the body.
+// decoded: 65 numbers a texel, or others with their own transfer (gaussian_channels.h). delta R is
+// the quaternion (1, 0, 0, 0) plus the decoder's; all zero, it is the identity and has no gradient.
+// delta n is added in the Gaussian's own frame, so that it turns with the body.
 void place_gaussians(const UvTexels& texels, const TexelFrames& frames,
                      std::span<const float> decoded, UvGaussians& gaussians);
 
