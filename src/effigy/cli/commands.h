@@ -18,6 +18,7 @@ int run_eval_learn(int argc, char** argv);  // effigy-learn
 int run_textures(int argc, char** argv);
 int run_splat(int argc, char** argv);
 int run_study(int argc, char** argv);
+int run_study_learn(int argc, char** argv);  // effigy-learn
 int run_info(int argc, char** argv);
 int run_bench(int argc, char** argv);
 int run_bench_learn(int argc, char** argv);  // effigy-learn

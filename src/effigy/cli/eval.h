@@ -19,6 +19,9 @@ void add_perceptual_options(CLI::App& app, PerceptualOptions& perceptual);
 // effigy eval of a body avatar (in effigy-learn).
 int evaluate_body_command(int argc, char** argv, const DistanceSource& source);
 
+// effigy study body (in effigy-learn).
+int run_study_body(int argc, char** argv, const PerceptualDistances& distances);
+
 // Without a source the command is handed over to effigy-learn when there are such files.
 int evaluate_command(int argc, char** argv, const DistanceSource& source);
 

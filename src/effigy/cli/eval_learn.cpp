@@ -1,4 +1,4 @@
-// effigy eval in effigy-learn: with the networks of perceptual distances.
+// effigy eval and study in effigy-learn: with the networks of perceptual distances.
 
 #include <memory>
 
@@ -38,6 +38,10 @@ PerceptualDistances distances_of(const PerceptualFiles& files) {
 int run_eval_learn(int argc, char** argv) {
   if (names_avatar(argc, argv, "body")) return evaluate_body_command(argc, argv, distances_of);
   return evaluate_command(argc, argv, distances_of);
+}
+
+int run_study_learn(int argc, char** argv) {
+  return run_study_body(argc, argv, distances_of(find_perceptual({})));
 }
 
 }  // namespace effigy

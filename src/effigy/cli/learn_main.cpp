@@ -10,6 +10,7 @@ int main(int argc, char** argv) {
        {"train", effigy::run_train_body, "a light-stage capture of a body to an avatar"},
        {"render", effigy::run_render_body, "frames or a video of a body avatar"},
        {"eval", effigy::run_eval_learn, "metrics and a report, with perceptual distances"},
+       {"study", effigy::run_study_learn, "a body avatar and the paper's baselines"},
        {"bench", effigy::run_bench_learn, "the networks of bodies on this machine"}},
       argc, argv);
 }

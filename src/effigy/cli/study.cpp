@@ -8,17 +8,13 @@
 #include "effigy/cli/command_line.h"
 #include "effigy/cli/commands.h"
 #include "effigy/cli/evaluation.h"
+#include "effigy/cli/program.h"
+#include "effigy/cli/study_cells.h"
 #include "effigy/head/trainer.h"
 #include "effigy/report/report.h"
 
 namespace effigy {
 namespace {
-
-// One row of a study: the settings that differ from the first row's.
-struct Cell {
-  std::string name;
-  Json changes;
-};
 
 // Every loss and prior that GTAvatar or docs/decisions.md adds, taken away one at a time.
 std::vector<Cell> relight_cells() {
@@ -65,13 +61,6 @@ TrainSettings cell_settings(const StudyOptions& options, const Cell& cell) {
   return settings;
 }
 
-std::string folder_name(const Cell& cell) {
-  std::string name = cell.name;
-  for (char& c : name)
-    if (!std::isalnum(static_cast<unsigned char>(c))) c = '-';
-  return name;
-}
-
 // The cell's metrics: from disk where the same settings were scored before on the same capture,
 // else trained (going on from a checkpoint) and scored.
 Json run_cell(const Cell& cell, const StudyOptions& options, const Capture& capture,
@@ -80,21 +69,15 @@ Json run_cell(const Cell& cell, const StudyOptions& options, const Capture& capt
   const Json key = {{"settings", to_json(settings)},
                     {"frames", options.frames},
                     {"capture", std::filesystem::absolute(capture.folder).string()}};
-  const Path done = folder / "cell.json";
-  if (std::filesystem::exists(done)) {
-    const Json before = read_json(done);
-    if (before.contains("key") && before["key"] == key) return before.at("metrics");
-  }
-  TrainOptions train;
-  train.resume = std::filesystem::exists(folder / "avatar" / "checkpoint.safetensors");
-  train_head(capture, settings, folder / "avatar", train);
-  EvaluationOptions evaluation_options;
-  evaluation_options.refined = false;
-  evaluation_options.most_frames = options.frames;
-  const Json metrics =
-      evaluate_avatar(read_head_avatar(folder / "avatar"), capture, evaluation_options).metrics();
-  write_json(done, {{"key", key}, {"metrics", metrics}});
-  return metrics;
+  return kept_cell(folder, key, [&] {
+    TrainOptions train;
+    train.resume = std::filesystem::exists(folder / "avatar" / "checkpoint.safetensors");
+    train_head(capture, settings, folder / "avatar", train);
+    EvaluationOptions evaluation;
+    evaluation.refined = false;
+    evaluation.most_frames = options.frames;
+    return evaluate_avatar(read_head_avatar(folder / "avatar"), capture, evaluation).metrics();
+  });
 }
 
 double mean_relit(const Json& metrics, const char* field) {
@@ -146,28 +129,18 @@ void write_study_report(const std::vector<std::vector<std::string>>& rows, const
   report.write(path);
 }
 
-std::vector<Cell> chosen_cells(const StudyOptions& options) {
-  std::vector<Cell> cells;
-  const std::vector<Cell> all = relight_cells();
-  for (const std::string& name : options.only)
-    if (std::none_of(all.begin(), all.end(), [&](const Cell& c) { return c.name == name; }))
-      throw Error("--cell '" + name + "' is unknown; run 'effigy study relight --list'.");
-  for (const Cell& cell : all)
-    if (options.only.empty() || cell.name == "all" ||
-        std::find(options.only.begin(), options.only.end(), cell.name) != options.only.end())
-      cells.push_back(cell);
-  return cells;
-}
-
 }  // namespace
 
 int run_study(int argc, char** argv) {
+  if (argc > 1 && std::string(argv[1]) == "body") return hand_over(argc, argv);
   CLI::App app(
       "Runs a study: relight trains the head system with and without each of its losses and "
       "priors\n"
       "on a synthetic capture, scores each under the capture's other lights, and prints the "
       "table.\n"
-      "Cells that are done are kept; an interrupted study goes on where it was.\n\n"
+      "Cells that are done are kept; an interrupted study goes on where it was. The same for "
+      "bodies\n"
+      "and the paper's baselines: effigy study body --help.\n\n"
       "example: effigy synth head -o truth && effigy study relight truth -o study",
       "study");
   std::string name, capture_path, output;
@@ -200,7 +173,8 @@ int run_study(int argc, char** argv) {
                 ": holds no frames under other lights; make one with 'effigy synth "
                 "head'.");
 
-  const std::vector<Cell> cells = chosen_cells(options);
+  const std::vector<Cell> cells =
+      chosen_cells(relight_cells(), options.only, "effigy study relight --list");
   std::vector<std::vector<std::string>> rows;
   Json result = {{"cells", Json::array()}}, all;
   for (size_t i = 0; i < cells.size(); ++i) {

@@ -1,0 +1,199 @@
+// effigy study body (in effigy-learn): the method beside the paper's baselines and ablations.
+
+#include <algorithm>
+#include <cstdio>
+
+#include "effigy/base/log.h"
+#include "effigy/body/train_run.h"
+#include "effigy/cli/body_evaluation.h"
+#include "effigy/cli/command_line.h"
+#include "effigy/cli/commands.h"
+#include "effigy/cli/eval.h"
+#include "effigy/cli/study_cells.h"
+#include "effigy/report/report.h"
+
+namespace effigy {
+namespace {
+
+// Rows of the paper's tables, and of our own where docs/decisions.md differs.
+std::vector<Cell> body_cells() {
+  return {{"full", Json::object()},
+          {"PBR appearance", {{"appearance", "pbr"}, {"roughness_high", 1.0}}},
+          {"SH, not rotated", {{"appearance", "sh"}}},
+          {"without shadow network", {{"shadow", false}}},
+          {"mesh normals", {{"normals", "mesh"}}},
+          {"without deferred shading", {{"deferred", false}}},
+          {"1 shadow ray", {{"shadow_samples", 1}}},
+          {"256 shadow rays", {{"shadow_samples", 256}}},
+          {"alpha products of the paper", {{"divide_by_alpha", false}}},
+          {"without opacity compensation", {{"compensate", false}}},
+          {"free transfer", {{"weight.transfer", 0.0}}},
+          {"without pyramid loss", {{"weight.pyramid", 0.0}}}};
+}
+
+struct BodyStudyOptions {
+  std::string preset = "quick";
+  int iterations = 0;
+  size_t views = 24;
+  std::vector<std::string> only;
+  uint64_t seed = 1;
+};
+
+BodyTrainSettings cell_settings(const BodyStudyOptions& options, const Cell& cell) {
+  BodyTrainSettings settings = BodyTrainSettings::from_preset(options.preset);
+  settings.seed = options.seed;
+  Json overrides = cell.changes;
+  overrides["evaluate_every"] = 0;
+  if (options.iterations > 0) overrides["iterations"] = options.iterations;
+  from_json_checked(overrides, "study cell '" + cell.name + "'", settings);
+  return settings;
+}
+
+Json run_cell(const Cell& cell, const BodyStudyOptions& options, const StageCapture& capture,
+              const PerceptualDistances& distances, const Path& folder) {
+  const BodyTrainSettings settings = cell_settings(options, cell);
+  const Json key = {{"settings", to_json(settings)},
+                    {"views", options.views},
+                    {"capture", std::filesystem::absolute(capture.folder).string()}};
+  return kept_cell(folder, key, [&] {
+    BodyTrainOptions train;
+    train.resume = std::filesystem::exists(folder / "avatar" / "checkpoint.safetensors");
+    train_body(capture, settings, folder / "avatar", train);
+    BodyAvatar avatar = read_body_avatar(folder / "avatar");
+    BodyEvaluationOptions evaluation;
+    evaluation.most_views = options.views;
+    evaluation.perceptual = distances;
+    return evaluate_body(avatar, capture, evaluation).metrics();
+  });
+}
+
+std::string number(const Json& metrics, const char* group, const char* field, const char* form) {
+  if (!metrics.contains(group) || !metrics[group].contains(field)) return "-";
+  char text[32];
+  std::snprintf(text, sizeof text, form, metrics[group][field].get<double>());
+  return text;
+}
+
+const std::vector<std::string> kColumns = {
+    "cell",        "view PSNR dB", "light PSNR dB",   "motion PSNR dB",
+    "motion SSIM", "motion FLIP",  "motion features", "environment PSNR dB"};
+
+std::vector<std::string> table_row(const Cell& cell, const Json& metrics) {
+  return {cell.name,
+          number(metrics, "view", "psnr", "%.2f"),
+          number(metrics, "light", "psnr", "%.2f"),
+          number(metrics, "motion", "psnr", "%.2f"),
+          number(metrics, "motion", "ssim", "%.4f"),
+          number(metrics, "motion", "flip", "%.4f"),
+          number(metrics, "motion", "feature_squeezenet10", "%.4f"),
+          number(metrics, "environment", "psnr", "%.2f")};
+}
+
+// Views of held-out motion and of environments, one column a cell.
+void add_pictures(Report& report, const std::vector<Cell>& cells, const StageCapture& capture,
+                  const Path& output) {
+  std::vector<int> frames = capture.frames_of(StageSplit::kMotion);
+  const std::vector<int> relit = capture.frames_of(StageSplit::kEnvironment);
+  if (frames.size() > 2) frames = {frames.front(), frames.back()};
+  for (size_t k = 0; k < relit.size(); k += std::max<size_t>(1, relit.size() / 2))
+    frames.push_back(relit[k]);
+  std::vector<int> cameras = capture.test_cameras();
+  if (cameras.empty()) cameras = capture.train_cameras();
+  std::vector<std::string> columns = {"truth"};
+  std::vector<ImageRow> rows;
+  for (const int frame : frames)
+    rows.push_back({format("frame {}", capture.frames[static_cast<size_t>(frame)].number), {}});
+  const StageSource source(capture);
+  for (const Cell& cell : cells) {
+    BodyAvatar avatar = read_body_avatar(output / folder_name(cell) / "avatar");
+    StageMoments moments(source, avatar.model.shadow_texels(), avatar.settings);
+    BodyViewer viewer(avatar.settings, avatar.model, moments);
+    columns.push_back(cell.name);
+    for (size_t k = 0; k < frames.size(); ++k) {
+      const DrawnView view = viewer.draw({frames[k], cameras[k % cameras.size()]});
+      if (rows[k].images.empty()) rows[k].images.push_back(to_8bit(view.truth));
+      rows[k].images.push_back(to_8bit(view.drawn));
+    }
+  }
+  report.add_heading("Side by side");
+  report.add_image_grid(columns, rows);
+}
+
+}  // namespace
+
+int run_study_body(int argc, char** argv, const PerceptualDistances& distances) {
+  CLI::App app(
+      "Trains a body avatar in full, with the paper's baselines (PBR, spherical harmonics) and "
+      "with\n"
+      "each of its parts changed, scores each, and prints the table. Cells that are done are "
+      "kept;\n"
+      "an interrupted study goes on where it was.\n\n"
+      "example: effigy synth body --stage tiny --relight studio sunset -o stage && effigy study "
+      "body "
+      "stage -o study",
+      "study");
+  std::string name, capture_path, output;
+  bool list = false;
+  BodyStudyOptions options;
+  CommonOptions common;
+  app.add_option("NAME", name, "body")->required()->check(CLI::IsMember({"body"}));
+  app.add_option("CAPTURE", capture_path, "A light-stage capture (effigy synth body)");
+  app.add_option("-o,--output", output, "Folder for the cells, study.json and report.html");
+  app.add_option("--preset", options.preset, "quick (default), standard or paper");
+  app.add_option("--iterations", options.iterations, "Override the preset's iterations");
+  app.add_option("--views", options.views, "Views scored of each group (default 24; 0: all)");
+  app.add_option("--cell", options.only, "Only this cell (and 'full'); repeatable");
+  app.add_flag("--list", list, "Only print the names of the cells");
+  add_common(app, common, true, true);
+  if (!parse_command_line(app, argc, argv, common)) return 0;
+  options.seed = common.seed;
+  if (list) {
+    for (const Cell& cell : body_cells()) std::printf("%s\n", cell.name.c_str());
+    return 0;
+  }
+  if (capture_path.empty() || output.empty())
+    throw Error("study wants a CAPTURE and -o FOLDER; see 'effigy study body --help'.");
+  const StageCapture capture = read_stage_capture(capture_path);
+  const std::vector<Cell> cells =
+      chosen_cells(body_cells(), options.only, "effigy study body --list");
+  const Path out = output;
+  make_folder(out);
+  Json study = Json::object();
+  std::vector<std::vector<std::string>> rows;
+  for (const Cell& cell : cells) {
+    log_info("cell: " + cell.name);
+    study[cell.name] = run_cell(cell, options, capture, distances, out / folder_name(cell));
+    rows.push_back(table_row(cell, study[cell.name]));
+    write_json(out / "study.json", study);
+  }
+  Report report("Body study", capture.source);
+  report.add_table(kColumns, rows,
+                   "On cameras that were held out; on the bounding box of the body. Features: "
+                   "feature_squeezenet10, where its weights are found.");
+  add_pictures(report, cells, capture, out);
+  report.add_heading("Settings");
+  report.add_code(to_json(cell_settings(options, cells.front())).dump(2));
+  report.write(out / "report.html");
+  if (common.json) {
+    print_json(study);
+    return 0;
+  }
+  std::string line = "|";
+  for (const std::string& column : kColumns) line += " " + column + " |";
+  std::printf("%s\n|%s\n", line.c_str(),
+              [&] {
+                std::string rule;
+                for (size_t k = 0; k < kColumns.size(); ++k) rule += "---|";
+                return rule;
+              }()
+                  .c_str());
+  for (const std::vector<std::string>& row : rows) {
+    line = "|";
+    for (const std::string& cell : row) line += " " + cell + " |";
+    std::printf("%s\n", line.c_str());
+  }
+  std::printf("%s\n", (out / "report.html").c_str());
+  return 0;
+}
+
+}  // namespace effigy
