@@ -15,7 +15,10 @@ constexpr int kBorder = 4;  // pixels kept around the body
 std::vector<StageViewKey> scored_views(const StageCapture& capture, const std::vector<int>& frames,
                                        const std::vector<int>& cameras, size_t most) {
   std::vector<StageViewKey> views;
-  if (frames.empty() || cameras.empty()) return views;
+  const bool any = std::any_of(frames.begin(), frames.end(), [&](int frame) {
+    return !capture.cameras_of(frame, cameras).empty();
+  });
+  if (!any) return views;
   const StageSchedule all = StageSchedule::in_order(capture, frames, cameras);
   const auto size = static_cast<size_t>(all.size());
   const size_t count = most == 0 ? size : std::min(most, size);

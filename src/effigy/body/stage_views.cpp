@@ -155,13 +155,24 @@ StageView StageSource::view(const StageViewKey& key, const StageCrop& crop, uint
   return view;
 }
 
+void LeftOutViews::add(const Error& error, size_t of) {
+  if (error.blame() != Blame::kInput) throw error;
+  if (count_++ == 0) {
+    first_ = error.what();
+    log_warning("views with missing or damaged files are left out, the first of them: " + first_);
+  }
+  if (10 * count_ > of)
+    throw Error(format("{} of {} views cannot be read, more than a tenth, the first: {}", count_,
+                       of, first_));
+}
+
 struct StageViews::State {
   // One number of the schedule: the view, what could not be read on the way to it, or what went
   // wrong otherwise.
   struct Ticket {
     bool ready = false;
     std::optional<StageView> view;
-    std::vector<std::pair<StageViewKey, std::string>> damaged;
+    std::vector<std::pair<StageViewKey, Error>> damaged;
     std::exception_ptr problem;
   };
 
@@ -193,11 +204,7 @@ struct StageViews::State {
         ticket.view = source.view(key, options.crop, number);
         return ticket;
       } catch (const Error& error) {
-        if (error.blame() != Blame::kInput) {
-          ticket.problem = std::current_exception();
-          return ticket;
-        }
-        ticket.damaged.emplace_back(key, error.what());
+        ticket.damaged.emplace_back(key, error);
         if (!options.endless) return ticket;
         key = schedule.view(epoch + Random(number, static_cast<uint64_t>(attempt)).bits() %
                                         schedule.size());
@@ -238,29 +245,19 @@ struct StageViews::State {
   }
 
   // Whether this pair was not looked at before.
-  bool mark(const StageViewKey& key, uint8_t as) {
+  bool mark(const StageViewKey& key) {
     uint8_t& was = seen[static_cast<size_t>(key.frame) * source.capture().cameras.size() +
                         static_cast<size_t>(key.camera)];
-    if (was != 0) return false;
-    was = as;
-    ++tried;
-    return true;
+    tried += was == 0;
+    return std::exchange(was, uint8_t{1}) == 0;
   }
 
   void count(const Ticket& ticket) {
-    for (const auto& [key, sentence] : ticket.damaged) {
-      if (!mark(key, 2)) continue;
-      if (missing++ > 0) continue;
-      first_damage = sentence;
-      log_warning(format("views with missing or damaged files are left out, the first of them: {}",
-                         sentence));
-    }
-    if (ticket.view) mark({ticket.view->frame, ticket.view->camera}, 1);
-    const size_t at_first = std::min<size_t>(kTriedAtFirst, schedule.size());
-    if (10 * missing > std::max(tried, at_first))
-      throw Error(format("{} of {} views tried cannot be read, more than a tenth, the first: {}",
-                         missing, tried, first_damage));
+    for (const auto& [key, error] : ticket.damaged)
+      if (mark(key)) left_out.add(error, std::max<size_t>(tried, at_first()));
+    if (ticket.view) mark({ticket.view->frame, ticket.view->camera});
   }
+  size_t at_first() const { return std::min<size_t>(kTriedAtFirst, schedule.size()); }
 
   const StageSource source;
   const StageSchedule schedule;
@@ -273,9 +270,9 @@ struct StageViews::State {
   bool stop = false;
   std::vector<std::thread> workers;
 
-  std::vector<uint8_t> seen;  // per frame and camera of the capture: 0 never, 1 read, 2 damaged
-  size_t tried = 0, missing = 0;
-  std::string first_damage;
+  std::vector<uint8_t> seen;  // per frame and camera of the capture
+  size_t tried = 0;           // different ones
+  LeftOutViews left_out;
 };
 
 StageViews::StageViews(StageSource source, StageSchedule schedule, const StageViewsOptions& options,
@@ -293,7 +290,7 @@ std::optional<StageView> StageViews::next() {
     s.count(ticket);
     if (ticket.view) return std::move(ticket.view);
     if (s.options.endless)
-      throw Error(format("No view of the capture can be read, the first: {}", s.first_damage));
+      throw Error("No view of the capture can be read, the first: " + s.left_out.first());
   }
   return std::nullopt;
 }
@@ -302,7 +299,7 @@ uint64_t StageViews::number() const {
   return state_->taken;
 }
 size_t StageViews::missing() const {
-  return state_->missing;
+  return state_->left_out.count();
 }
 
 }  // namespace effigy

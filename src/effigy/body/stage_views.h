@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "effigy/base/error.h"
 #include "effigy/body/stage_schedule.h"
 #include "effigy/capture/stage_capture.h"
 #include "effigy/light/point_light.h"
@@ -62,6 +63,20 @@ class StageSource {
  private:
   const StageCapture& capture_;
   Vec3f center_;
+};
+
+// Views with missing or damaged files: never a reason to stop, unless they are many.
+class LeftOutViews {
+ public:
+  // One more, whose reading threw `error`; the first is told as a warning. Rethrows what is not the
+  // files' fault; throws Error naming the first when more than a tenth of `of` views are left out.
+  void add(const Error& error, size_t of);
+  size_t count() const { return count_; }
+  const std::string& first() const { return first_; }
+
+ private:
+  size_t count_ = 0;
+  std::string first_;
 };
 
 struct StageViewsOptions {

@@ -97,13 +97,25 @@ void start_albedo(StageMoments& moments, BodyModel& model) {
   if (frames.empty()) frames = capture.frames_of(StageSplit::kTrain);
   const size_t n = model.texels().count();
   Fit fit{std::vector<double>(3 * n), std::vector<double>(3 * n)};
+  // A sample too small to judge the capture by: whether too much is missing, training finds out.
+  constexpr size_t kAnyNumber = 10 * kFrames * kCameras;
+  LeftOutViews left_out;
   for (const int frame : spread(frames, kFrames)) {
-    const StageMoment at = moments.source().moment(frame);
-    model.pose(moments.moment(at));
-    model.light(moments.irradiance(at, at));
-    const std::vector<float> shade = shade_of(model, *moments.light(at));
-    for (const int camera : spread(capture.train_cameras(), kCameras))
-      add_view(capture, camera, frame, model, moments.rays(at), shade, fit);
+    try {
+      const StageMoment at = moments.source().moment(frame);
+      model.pose(moments.moment(at));
+      model.light(moments.irradiance(at, at));
+      const std::vector<float> shade = shade_of(model, *moments.light(at));
+      const RayScene& rays = moments.rays(at);
+      for (const int camera : spread(capture.cameras_of(frame, capture.train_cameras()), kCameras))
+        try {
+          add_view(capture, camera, frame, model, rays, shade, fit);
+        } catch (const Error& error) {
+          left_out.add(error, kAnyNumber);
+        }
+    } catch (const Error& error) {
+      left_out.add(error, kAnyNumber);
+    }
   }
   std::vector<float>& albedo = model.maps().albedo;
   for (size_t c = 0; c < 3; ++c) {

@@ -44,9 +44,16 @@ std::array<float, 3> mean_colour(const StageSource& source) {
     if (capture.frames[static_cast<size_t>(frame)].fully_lit) frames.push_back(frame);
   std::array<double, 3> sum{};
   double weight = 0;
+  LeftOutViews left_out;
   for (const StageViewKey& key :
        scored_views(capture, frames, capture.train_cameras(), kColourViews)) {
-    const StageView view = source.view(key, {0, 0, 0});
+    StageView view;
+    try {
+      view = source.view(key, {0, 0, 0});
+    } catch (const Error& error) {
+      left_out.add(error, 10 * kColourViews);  // a sample too small to judge by
+      continue;
+    }
     for (size_t p = 0; p < view.mask.size(); ++p) {
       weight += static_cast<double>(view.mask[p]);
       for (int c = 0; c < 3; ++c)
@@ -125,28 +132,33 @@ BodyEvaluation evaluate_body(BodyAvatar& avatar, const StageCapture& capture,
   for (const Wanted& w : wanted)
     total +=
         static_cast<int64_t>(scored_views(capture, w.frames, cameras, options.most_views).size());
+  LeftOutViews left_out;
   Progress progress("scoring", "views", total);
   for (const Wanted& w : wanted) {
-    if (w.frames.empty()) continue;
     ViewGroup group{w.name, w.title, {}};
     for (const StageViewKey& key : scored_views(capture, w.frames, cameras, options.most_views)) {
-      ViewScores scores;
-      scores.view = key;
-      if (full >= 0) scores.unlit = score_of(viewer.draw_in_light_of(key, full));
-      const DrawnView drawn = viewer.draw(key);
-      scores.score = score_of(drawn);
-      scores.flat = score_of(painted(drawn, colour));
-      for (const ImageDistance& distance : options.perceptual.distances)
-        scores.distances[distance.name] = distance.between(drawn.truth, drawn.drawn);
-      group.views.push_back(std::move(scores));
+      try {
+        ViewScores scores;
+        scores.view = key;
+        if (full >= 0) scores.unlit = score_of(viewer.draw_in_light_of(key, full));
+        const DrawnView drawn = viewer.draw(key);
+        scores.score = score_of(drawn);
+        scores.flat = score_of(painted(drawn, colour));
+        for (const ImageDistance& distance : options.perceptual.distances)
+          scores.distances[distance.name] = distance.between(drawn.truth, drawn.drawn);
+        group.views.push_back(std::move(scores));
+      } catch (const Error& error) {
+        left_out.add(error, static_cast<size_t>(total));
+      }
       progress.update(++done);
     }
-    evaluation.groups.push_back(std::move(group));
+    if (!group.views.empty()) evaluation.groups.push_back(std::move(group));
   }
   progress.finish();
   if (evaluation.groups.empty())
     throw Error(capture.folder.string() +
                 ": no partially lit or held-out frame to score; capture some.");
+  evaluation.left_out = left_out.count();
   evaluation.seconds =
       std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
   return evaluation;
@@ -156,6 +168,7 @@ Json BodyEvaluation::metrics() const {
   Json json = {{"kind", "body"},
                {"crop", "bounding box of the mask, 4 pixels around it"},
                {"lpips_net", lpips_net.empty() ? Json() : Json(lpips_net)},
+               {"views_left_out", left_out},
                {"seconds", seconds}};
   if (lpips_net.empty()) json["lpips_note"] = lpips_note;
   for (const ViewGroup& group : groups) {

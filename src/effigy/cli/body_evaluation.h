@@ -36,6 +36,7 @@ struct ViewGroup {
 struct BodyEvaluation {
   std::vector<ViewGroup> groups;  // "view", "light", "motion", "environment"; those there are
   std::string lpips_net, lpips_note;
+  size_t left_out = 0;  // views with missing or damaged files
   double seconds = 0;
   const ViewGroup* group(const std::string& name) const;  // null when there is none
   Json metrics() const;                                   // metrics.json
