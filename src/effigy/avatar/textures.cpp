@@ -118,26 +118,42 @@ MaterialTexture read_material(const Path& folder) {
   return to_texture(images, folder.string());
 }
 
-int apply_edits(const Path& folder, const UvRectangle& where, MaterialTexture& texture) {
+MaterialImages read_maps(const Path& folder) {
+  MaterialImages images;
+  for (const Map& map : kMaps) {
+    const Path path = folder / map.file;
+    if (!std::filesystem::exists(path)) continue;
+    images.*map.image = select_channels(read_image(path), map.channels);
+    check_map(images.*map.image, path.string());
+  }
+  return images;
+}
+
+void write_maps(const Path& folder, const MaterialImages& images) {
+  for (const Map& map : kMaps)
+    if (!(images.*map.image).empty()) write_png16(folder / map.file, images.*map.image);
+}
+
+int apply_edits(const Path& folder, const UvRectangle& where, MaterialImages& images) {
   const auto [u0, v0, u1, v1] = where;
   if (!(u0 >= 0 && v0 >= 0 && u1 <= 1 && v1 <= 1 && u0 < u1 && v0 < v1))
     throw Error("--rect must be u0,v0,u1,v1 with 0 <= u0 < u1 <= 1 and 0 <= v0 < v1 <= 1.");
-  MaterialImages base = to_images(texture);
-  const int w = texture.width, h = texture.height;
-  const int x0 = static_cast<int>(std::lround(u0 * w)), x1 = static_cast<int>(std::lround(u1 * w));
-  const int y0 = static_cast<int>(std::lround((1 - v1) * h));
-  const int y1 = static_cast<int>(std::lround((1 - v0) * h));
-  if (x1 <= x0 || y1 <= y0) throw Error("--rect covers no texel of the atlas; make it larger.");
   const bool whole = u0 == 0 && v0 == 0 && u1 == 1 && v1 == 1;
   int applied = 0;
   for (const Map& map : kMaps) {
     const Path path = folder / map.file;
-    if (!std::filesystem::exists(path)) continue;
+    Image& target = images.*map.image;
+    if (!std::filesystem::exists(path) || target.empty()) continue;
+    const int w = target.width, h = target.height;
+    const int x0 = static_cast<int>(std::lround(u0 * w));
+    const int x1 = static_cast<int>(std::lround(u1 * w));
+    const int y0 = static_cast<int>(std::lround((1 - v1) * h));
+    const int y1 = static_cast<int>(std::lround((1 - v0) * h));
+    if (x1 <= x0 || y1 <= y0) throw Error("--rect covers no texel of the atlas; make it larger.");
     const Image read = read_image(path);
     if (whole) check_map(read, path.string());
     const Image edit = resize(select_channels(read, map.channels), x1 - x0, y1 - y0);
     const Image alpha = resize(alpha_of(read), x1 - x0, y1 - y0);
-    Image& target = base.*map.image;
     for (int y = y0; y < y1; ++y)
       for (int x = x0; x < x1; ++x) {
         const float a = *alpha.at(x - x0, y - y0);
@@ -151,7 +167,13 @@ int apply_edits(const Path& folder, const UvRectangle& where, MaterialTexture& t
         folder.string() +
         ": no albedo.png, roughness.png, specular.png or normal.png to apply; put the edited "
         "maps there under these names.");
-  texture = to_texture(base, folder.string());
+  return applied;
+}
+
+int apply_edits(const Path& folder, const UvRectangle& where, MaterialTexture& texture) {
+  MaterialImages images = to_images(texture);
+  const int applied = apply_edits(folder, where, images);
+  texture = to_texture(images, folder.string());
   return applied;
 }
 

@@ -23,6 +23,11 @@ MaterialTexture to_texture(const MaterialImages& images, const std::string& name
 void write_material(const Path& folder, const MaterialTexture& texture);
 MaterialTexture read_material(const Path& folder);
 
+// The maps that are in the folder (bodies have albedo and roughness only), and back; an image that
+// is not there is empty.
+MaterialImages read_maps(const Path& folder);
+void write_maps(const Path& folder, const MaterialImages& images);
+
 // Where an edited image goes: u0, v0, u1, v1 in [0, 1] (v up); the whole atlas by default.
 using UvRectangle = std::array<double, 4>;
 
@@ -30,5 +35,7 @@ using UvRectangle = std::array<double, 4>;
 // `texture`, each weighted by its alpha channel where it has one (else 1). Normal maps are blended
 // and renormalised. Returns the number of maps applied; throws Error when there is none.
 int apply_edits(const Path& folder, const UvRectangle& where, MaterialTexture& texture);
+// The same on maps as they are in files; those that are empty are left out.
+int apply_edits(const Path& folder, const UvRectangle& where, MaterialImages& images);
 
 }  // namespace effigy

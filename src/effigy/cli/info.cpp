@@ -3,6 +3,8 @@
 #include <cstdio>
 
 #include "effigy/avatar/head_avatar.h"
+#include "effigy/avatar/kind.h"
+#include "effigy/avatar/textures.h"
 #include "effigy/base/log.h"
 #include "effigy/base/safetensors.h"
 #include "effigy/capture/stage_capture.h"
@@ -63,7 +65,36 @@ Json describe_capture(const Path& path) {
           {"consent", capture.consent}};
 }
 
+// Everything but the networks' meaning, which effigy-learn checks when it uses them.
+Json describe_body(const Path& path) {
+  const Json info = read_avatar_json(path);
+  const Rig rig = read_rig(path / "rig.safetensors");
+  const TensorFile networks = read_safetensors(path / "networks.safetensors");
+  const MaterialImages maps = read_maps(path / "textures");
+  Json tracks = Json::object();
+  if (std::filesystem::is_directory(path / "tracks"))
+    for (const auto& entry : std::filesystem::directory_iterator(path / "tracks"))
+      if (entry.path().extension() == ".safetensors")
+        tracks[entry.path().stem().string()] = read_track(entry.path(), rig).poses.size();
+  int64_t parameters = 0;
+  for (const auto& [name, tensor] : networks.tensors) {
+    int64_t count = 1;
+    for (const int64_t extent : tensor.shape) count *= extent;
+    parameters += count;
+  }
+  return {{"what", "avatar"},
+          {"kind", "body"},
+          {"rig", rig.kind},
+          {"rig_licence", rig.licence},
+          {"gaussians", info.value("gaussians", 0)},
+          {"parameters", parameters},
+          {"texture", {maps.albedo.width, maps.albedo.height}},
+          {"tracks", tracks},
+          {"provenance", info.value("provenance", Json::object())}};
+}
+
 Json describe_avatar(const Path& path) {
+  if (avatar_kind(path) == "body") return describe_body(path);
   const HeadAvatar avatar = read_head_avatar(path);
   Json tracks = Json::object();
   for (const auto& [name, track] : avatar.tracks) tracks[name] = track.poses.size();
