@@ -1,10 +1,9 @@
 // The real command line: results, exit codes and the one sentence of each error.
 
-#include <sys/wait.h>
-
 #include <cmath>
 #include <fstream>
 
+#include "cli/run.h"
 #include "effigy/base/json.h"
 #include "infer/perceptual_files.h"
 #include "support.h"
@@ -14,29 +13,9 @@ namespace effigy {
 namespace {
 
 using test::contains;
+using test::Outcome;
+using test::run;
 using test::TorchState;
-
-struct Outcome {
-  int code = -1;
-  std::string out, err;
-  // One line on standard error that starts with "effigy: ".
-  bool one_sentence() const {
-    return err.rfind("effigy: ", 0) == 0 && err.find('\n') == err.size() - 1;
-  }
-};
-
-Outcome run(const std::string& arguments) {
-  test::ScratchFolder scratch;
-  const std::string program = EFFIGY_BINARY_DIR "/bin/effigy";
-  const int status = std::system((program + " " + arguments + " >" + (scratch / "out").string() +
-                                  " 2>" + (scratch / "err").string() + " </dev/null")
-                                     .c_str());
-  Outcome outcome;
-  outcome.code = WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
-  outcome.out = read_text(scratch / "out");
-  outcome.err = read_text(scratch / "err");
-  return outcome;
-}
 
 // A small trained avatar and its capture, made once for all tests of this file.
 const Path& trained() {
