@@ -161,6 +161,38 @@ TEST(BodyLosses, CameraColoursAgainstDifferences) {
     }
 }
 
+// Lambert's lobe is nowhere far below zero; one turned upside down is.
+TEST(BodyLosses, DarkLobes) {
+  Scene scene;
+  const Vec3f direction = Vec3f(0.3f, 0.5f, 0.8f).normalized();
+  BodySurfaceGradients gradients;
+  gradients.clear(scene.texels.count());
+  std::vector<float> zeros(scene.decoded.size());
+  place_gaussians(scene.texels,
+                  texel_frames(scene.texels, scene.mesh.vertices, scene.mesh.triangles), zeros,
+                  scene.surface.placed);
+  EXPECT_LT(dark_lobe_loss(scene.surface, direction, 1, gradients), 2e-4);
+  for (float& z : scene.surface.placed.zonal) z = -z;
+  gradients.clear(scene.texels.count());
+  const double loss = dark_lobe_loss(scene.surface, direction, 3, gradients);
+  EXPECT_GT(loss, 0.01);
+  Random random(3, 3);
+  BodySurface up = scene.surface, down = scene.surface;
+  double along = 0;
+  for (size_t i = 0; i < up.placed.zonal.size(); ++i) {
+    const auto d = static_cast<float>(random.normal());
+    up.placed.zonal[i] += 1e-3f * d;
+    down.placed.zonal[i] -= 1e-3f * d;
+    along += static_cast<double>(d) * static_cast<double>(gradients.zonal[i]);
+  }
+  BodySurfaceGradients unused;
+  unused.clear(scene.texels.count());
+  const double measured =
+      3 * (dark_lobe_loss(up, direction, 1, unused) - dark_lobe_loss(down, direction, 1, unused)) /
+      2e-3;
+  EXPECT_NEAR(measured, along, 0.01 * std::abs(along) + 1e-5);
+}
+
 // Around the mask's edge alpha is free.
 TEST(BodyLosses, NoMaskLossAtTheEdge) {
   Scene scene;

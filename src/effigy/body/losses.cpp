@@ -224,4 +224,23 @@ BodyLossValues body_texel_losses(const BodyTrainSettings& settings, double norma
           {"neg_color", negative * each}};
 }
 
+double dark_lobe_loss(const BodySurface& surface, const Vec3f& direction, float weight,
+                      BodySurfaceGradients& gradients) {
+  const size_t n = surface.count();
+  DiffuseLight light;
+  light.points.lights = {{direction, Vec3f::Ones(), true}};
+  const TransferView view{n, surface.placed.axes, {}, surface.placed.zonal};
+  std::vector<float> value(3 * n);
+  shade_diffuse(light, view, value);
+  const double each = 1.0 / static_cast<double>(3 * n);
+  double sum = 0;
+  for (float& v : value) {
+    const double dark = static_cast<double>(std::min(v, 0.0f));
+    sum += dark * dark * each;
+    v = static_cast<float>(2 * dark * each * static_cast<double>(weight));
+  }
+  shade_diffuse_backward(light, view, value, {gradients.axes, {}, gradients.zonal, {}});
+  return sum;
+}
+
 }  // namespace effigy

@@ -52,6 +52,12 @@ BodyLossValues body_texel_losses(const BodyTrainSettings& settings, double norma
                                  std::span<const float> diffuse, std::span<float> d_decoded,
                                  BodySurfaceGradients& gradients, std::span<float> d_diffuse);
 
+// Zonal transfer of one far light from `direction` (unit) that is negative: light that would make
+// the surface darker, which many lamps together hide. Mean square over texels and channels; adds
+// `weight` times its gradient.
+double dark_lobe_loss(const BodySurface& surface, const Vec3f& direction, float weight,
+                      BodySurfaceGradients& gradients);
+
 // Appendix B.2 and its relative form: cost and derivative of one value.
 struct BoundCost {
   double cost = 0, slope = 0;

@@ -29,6 +29,7 @@ constexpr auto kList = [](auto& s, auto&& visit) {
   visit("weight.alpha_sparsity", s.weights.alpha_sparsity);
   visit("weight.albedo", s.weights.albedo);
   visit("weight.transfer", s.weights.transfer);
+  visit("weight.dark_lobes", s.weights.dark_lobes);
   visit("weight.neg_color", s.weights.neg_color);
   visit("normal_anneal", s.normal_anneal);
   visit("final_rate_factor", s.final_rate_factor);
@@ -114,6 +115,7 @@ void BodyTrainSettings::make_paper_literal() {
   paper_literal = true;
   weights.pyramid = 0;
   weights.transfer = 0;
+  weights.dark_lobes = 0;
   bound = "paper";
   compensate = false;
   divide_by_alpha = false;

@@ -29,6 +29,8 @@ struct BodyWeights {
   double alpha_sparsity = 0.1;
   double albedo = 0.01;     // mean |albedo|
   double transfer = 0.05;   // mean square of what is learned of transfer; not in the paper
+  double dark_lobes = 1;    // mean square of negative diffuse transfer of one random light; not in
+                            // the paper
   double neg_color = 0.01;  // mean square of negative diffuse colours and albedos
 };
 

@@ -2,8 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numbers>
 #include <numeric>
 
+#include "effigy/base/random.h"
 #include "effigy/body/start_maps.h"
 #include "effigy/body/trainer_state.h"
 
@@ -13,8 +15,17 @@ namespace {
 constexpr size_t kScaleFrames = 512;  // that keypoints are measured in
 constexpr int kBorder = 8;            // pixels around the body, where Gaussians must not be
 constexpr uint64_t kOrderSeeds = 0x9e3779b97f4a7c15;
-constexpr size_t kRecent = 32;  // losses that an explosion is measured against
+constexpr size_t kRecent = 32;           // losses that an explosion is measured against
+constexpr uint64_t kLampDirection = 21;  // stream of random numbers
 constexpr AdamSettings kAdam{0.9f, 0.999f, 1e-8f};
+
+// Even over the sphere, another one for each view.
+Vec3f random_direction(uint64_t seed, uint64_t number) {
+  Random random(seed + kOrderSeeds * number, kLampDirection);
+  const double y = 2 * random.uniform() - 1, angle = 2 * std::numbers::pi * random.uniform();
+  const double r = std::sqrt(std::max(0.0, 1 - y * y));
+  return Vec3d(r * std::cos(angle), y, r * std::sin(angle)).cast<float>();
+}
 
 // Statistics of keypoints in root frames over the training frames.
 void scale_keypoints(const StageSource& source, BodyNetworks& networks) {
@@ -119,6 +130,7 @@ double BodyTrainer::State::total(const BodyLossValues& values) const {
                                                  {"albedo", w.albedo},
                                                  {"neg_color", w.neg_color},
                                                  {"transfer", w.transfer},
+                                                 {"dark_lobes", w.dark_lobes},
                                                  {"normal_orient", w.normal_orient}};
   double sum = 0;
   for (const auto& [name, value] : values) sum += weights.at(name) * value;
@@ -148,6 +160,10 @@ void BodyTrainer::State::draw_view(BodyLossValues& mean) {
   values.merge(body_texel_losses(settings, normal_weight(), model.decoded(), surface,
                                  picture.diffuse(), d_decoded, d_surface, d_diffuse));
   if (settings.deferred) values["normal_orient"] = picture.normal_orient();
+  if (settings.weights.dark_lobes > 0 && options.appearance == BodyAppearance::kZonal)
+    values["dark_lobes"] =
+        dark_lobe_loss(surface, random_direction(settings.seed, view.number),
+                       static_cast<float>(settings.weights.dark_lobes), d_surface);
   picture.backward(view.view, surface, *light, options,
                    {&d_image.radiance, d_image.alpha, d_diffuse,
                     static_cast<float>(settings.weights.normal_orient)},
