@@ -40,7 +40,7 @@ TEST(Commands, HelpAndVersion) {
   const Outcome help = run("--help");
   EXPECT_EQ(help.code, 0);
   for (const char* name : {"demo", "track", "train", "render", "eval", "textures", "splat", "synth",
-                           "study", "info", "bench"}) {
+                           "import", "study", "info", "bench"}) {
     EXPECT_TRUE(contains(help.out, name)) << name;
     const Outcome one = run(std::string(name) + " --help");
     EXPECT_EQ(one.code, 0) << name << one.err;
@@ -211,10 +211,43 @@ TEST(Commands, SynthBodyMakesAStageThatInfoFindsSound) {
   EXPECT_EQ(found["kind"], "body");
   EXPECT_EQ(found["test_cameras"], 1);
   EXPECT_EQ(found["test_motion"], 1);
-  // Heads are trained from other captures.
-  const Outcome train = run("train " + capture + " -o " + (scratch / "avatar").string());
-  EXPECT_EQ(train.code, 2);
-  EXPECT_TRUE(train.one_sentence()) << train.err;
+}
+
+TEST(Commands, ImportMakesAStageThatInfoFindsSound) {
+  const test::ScratchFolder scratch;
+  write_obj(scratch / "scene.obj", test::ball_rig().mesh);
+  Json frames = Json::array();
+  for (int k = 0; k < 3; ++k) {
+    const std::string name = "r_" + std::to_string(k);
+    write_png8(scratch / (name + ".png"), Image8(16, 16, 4, 200));
+    frames.push_back({{"file_path", name},
+                      {"transform_matrix", {{1, 0, 0, 0}, {0, 1, 0, 0}, {0, 0, 1, 2}}},
+                      {"pl_pos", {k, 1, 1}}});
+  }
+  write_json(scratch / "transforms.json", {{"camera_angle_x", 0.4}, {"frames", frames}});
+  const std::string source = scratch.path().string(), capture = (scratch / "out").string(),
+                    mesh = (scratch / "scene.obj").string();
+  const Outcome made =
+      run("import transforms " + source + " -o " + capture + " --mesh " + mesh + " --json");
+  ASSERT_EQ(made.code, 0) << made.err;
+  EXPECT_EQ(Json::parse(made.out)["views"], 3);
+  EXPECT_EQ(run("info " + capture).code, 0);
+  for (const std::string& bad :
+       {"goliath " + source + " -o x", "transforms " + source + " -o x",
+        "transforms /nowhere -o x --mesh " + mesh, "insta " + source + " -o x",
+        "transforms " + source + " -o x --scale 2 --mesh " + mesh,
+        "transforms " + source + " -o x --cameras camera7 --mesh " + mesh}) {
+    const Outcome outcome = run("import " + bad);
+    EXPECT_EQ(outcome.code, 2) << bad;
+    EXPECT_TRUE(outcome.one_sentence()) << outcome.err;
+  }
+  // A folder that is not one of ours stays as it is.
+  write_text(scratch / "mine/notes.txt", "keep");
+  EXPECT_EQ(
+      run("import transforms " + source + " -o " + (scratch / "mine").string() + " --mesh " + mesh)
+          .code,
+      1);
+  EXPECT_EQ(read_text(scratch / "mine/notes.txt"), "keep");
 }
 
 TEST(Commands, SynthBodyRefusesBadInputInOneSentence) {
