@@ -127,8 +127,10 @@ constexpr std::array<std::array<double, 3>, 9> kJaw = {{{0, -116, 82},
                                                         {63, -40, 14},
                                                         {67, -22, 13},
                                                         {70, -5, 13}}};
+// Upper rim of the brow, in the places that iBUG's mean face, MediaPipe's canonical face and
+// ICT-FaceKit agree on when their outer eye corners are brought onto ours.
 constexpr std::array<std::array<double, 2>, 5> kBrow = {
-    {{10, 16.5}, {19, 21}, {29, 22.5}, {39, 20.5}, {48, 14.5}}};
+    {{12.5, 20.5}, {26, 24.5}, {39.5, 25.5}, {51, 22.5}, {59, 15.5}}};
 
 }  // namespace
 
@@ -147,25 +149,41 @@ LandmarkEmbedding multipie_landmarks(const HeadMesh& head) {
     put.at_point(21 - i, mirrored(p));
   }
   for (int i = 0; i < 4; ++i) put.at_point(27 + i, front(0, 3.0 - 14.0 * i));
-  put.at_point(33, front(0, -53));
-  for (int i = 1; i <= 2; ++i) {
-    const Vec3d p = front(6.4 * i, i == 1 ? -52.0 : -50.5);
-    put.at_point(33 + i, p);
-    put.at_point(33 - i, mirrored(p));
-  }
+  // Below the nose: where columella and wings meet the lip.
+  put.at_point(33, front(0, -56));
+  const Vec3d nostril(6.4, -52, 101), wing(14.5, -50.5, 95.5);
+  put.at_point(34, nostril);
+  put.at_point(32, mirrored(nostril));
+  put.at_point(35, wing);
+  put.at_point(31, mirrored(wing));
   // Lids: outer corner, upper, inner corner, lower (right eye); inner corner first (left eye).
-  const std::array<int, 6> right_eye = {12, 8, 4, 0, 20, 16}, left_eye = {0, 4, 8, 12, 16, 20};
+  const std::array<int, 6> right_eye = {12, 8, 5, 0, 19, 16}, left_eye = {0, 5, 8, 12, 16, 19};
   for (int i = 0; i < 6; ++i) {
     put.at_ring(36 + i, Region::kEyeRing, 0, right_eye[i], -1);
     put.at_ring(42 + i, Region::kEyeRing, 0, left_eye[i], 1);
   }
   // Lips: {landmark, ring, place, side}.
-  static constexpr std::array<std::array<int, 4>, 20> kLips = {
-      {{48, 0, 7, -1},  {49, 2, 3, -1},  {50, 2, 1, -1}, {51, 2, 0, 1},  {52, 2, 1, 1},
-       {53, 2, 3, 1},   {54, 0, 7, 1},   {55, 2, 11, 1}, {56, 2, 13, 1}, {57, 2, 14, 1},
-       {58, 2, 13, -1}, {59, 2, 11, -1}, {60, 0, 7, -1}, {61, 0, 3, -1}, {62, 0, 0, 1},
-       {63, 0, 3, 1},   {64, 0, 7, 1},   {65, 0, 11, 1}, {66, 0, 14, 1}, {67, 0, 11, -1}}};
+  static constexpr std::array<std::array<int, 4>, 16> kLips = {{{48, 0, 7, -1},
+                                                                {49, 2, 3, -1},
+                                                                {50, 2, 1, -1},
+                                                                {51, 2, 0, 1},
+                                                                {52, 2, 1, 1},
+                                                                {53, 2, 3, 1},
+                                                                {54, 0, 7, 1},
+                                                                {57, 2, 14, 1},
+                                                                {60, 0, 7, -1},
+                                                                {61, 0, 2, -1},
+                                                                {62, 0, 0, 1},
+                                                                {63, 0, 2, 1},
+                                                                {64, 0, 7, 1},
+                                                                {65, 0, 12, 1},
+                                                                {66, 0, 14, 1},
+                                                                {67, 0, 12, -1}}};
   for (const auto& lip : kLips) put.at_ring(lip[0], Region::kMouthRing, lip[1], lip[2], lip[3]);
+  for (int i = 0; i < 2; ++i) {
+    put.on_ring(55 + i, Region::kMouthRing, 2, i == 0 ? 10.5 : 12.5, 1);
+    put.on_ring(59 - i, Region::kMouthRing, 2, i == 0 ? 10.5 : 12.5, -1);
+  }
   return put.finish();
 }
 

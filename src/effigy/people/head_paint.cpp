@@ -41,12 +41,12 @@ double nearest_spot(const Vec3d& p) {
 
 // Distance from the brow's line in half widths there, front view, as cover 0 .. 1.
 double brow_cover(const Vec3d& p, double width_scale) {
-  static constexpr std::array<std::array<double, 3>, 6> kLine = {{{9.5, 16.2, 3.4},
-                                                                  {18, 19.3, 4.3},
-                                                                  {28, 22.2, 3.9},
-                                                                  {37, 22.6, 3.1},
-                                                                  {45, 19.6, 2.2},
-                                                                  {52, 13.6, 0.8}}};
+  static constexpr std::array<std::array<double, 3>, 6> kLine = {{{10.5, 17.2, 3.4},
+                                                                  {20, 20.8, 4.3},
+                                                                  {31, 23.4, 3.9},
+                                                                  {41.5, 23.5, 3.3},
+                                                                  {50.5, 20.6, 2.4},
+                                                                  {58, 15.0, 0.9}}};
   if (p.z() < 30) return 0;
   double best = 0;
   for (size_t i = 1; i < kLine.size(); ++i) {
