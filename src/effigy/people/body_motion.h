@@ -1,4 +1,4 @@
-// Motions of the built-in body: exercises made by code, and the user's own BVH files.
+// Motions of bodies: exercises made by code, and the user's own BVH files.
 #pragma once
 
 #include <cstdint>
@@ -12,7 +12,7 @@ namespace effigy {
 
 struct BodyMotion {
   double frames_per_second = 30;
-  std::vector<RigPose> poses;  // drive_body_helpers() done
+  std::vector<RigPose> poses;  // of the built-in body: drive_body_helpers() done
 };
 
 // Every joint through its comfortable range at its own slow pace, hands and face included; smooth
@@ -23,10 +23,14 @@ BodyMotion range_of_motion(const BuiltinBody& body, int frames, double frames_pe
 BodyMotion unseen_motion(const BuiltinBody& body, int frames, double frames_per_second,
                          uint64_t seed);
 
-// Moves the body as the file's skeleton moves: bones point where the file's bones point. Joints are
-// found by their usual names (CMU, Mixamo, VRM, MakeHuman); those without a counterpart rest.
-// Resampled to frames_per_second; `first` seconds are skipped, at most `frames` are made. Throws
-// Error naming `name` when hips, legs or arms are not found.
+// Moves a body as the file's skeleton moves: bones point where the file's bones point, the lower
+// foot stands on y = 0. Joints of both are found by their usual names (humanoid.h); those without a
+// counterpart rest. The rig may face anywhere, y is up. Resampled to frames_per_second; `first`
+// seconds are skipped, at most `frames` are made. Throws Error naming `name` when hips, legs or
+// arms are not found.
+BodyMotion retarget_bvh(const Rig& rig, const RigShape& shape, const Bvh& bvh,
+                        const std::string& name, int frames, double frames_per_second,
+                        double first = 0);
 BodyMotion retarget_bvh(const BuiltinBody& body, const Bvh& bvh, const std::string& name,
                         int frames, double frames_per_second, double first = 0);
 
@@ -35,9 +39,11 @@ BodyMotion retarget_bvh(const BuiltinBody& body, const Bvh& bvh, const std::stri
 std::vector<RigPose> swaying_motion(const Rig& rig, int frames, double frames_per_second,
                                     double reach, uint64_t seed);
 
-// (joint of the body, joint of the file, child in the file whose direction it takes or -1).
+// A joint by its humanoid name in the rig and in the file; for limbs the next joint of both, whose
+// direction it takes, else -1.
 struct BvhMatch {
-  int joint, source, source_child, child;
+  std::string name;
+  int joint = -1, source = -1, child = -1, source_child = -1;
 };
 std::vector<BvhMatch> match_bvh(const Rig& rig, const Bvh& bvh);
 

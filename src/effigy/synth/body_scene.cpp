@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "effigy/base/error.h"
+#include "effigy/people/humanoid.h"
 #include "effigy/people/user_body.h"
 #include "effigy/synth/subsurface.h"
 #include "effigy/synth/tracking_error.h"
@@ -56,8 +57,6 @@ void BodyScene::load_builtin() {
 
 void BodyScene::load_users_own() {
   const std::string& name = options_.body;
-  if (!options_.motion.empty() || !options_.unseen_motion.empty())
-    throw Error(name + ": BVH motions move the built-in body only; leave them out.");
   UserBody own = std::filesystem::is_directory(name)
                      ? read_makehuman_body(name, {}, options_.texture_size)
                      : read_gltf_body(name, options_.texture_size);
@@ -84,7 +83,7 @@ void BodyScene::load_users_own() {
 std::vector<RigPose> BodyScene::motion_of(const std::string& file, bool unseen, int frames) const {
   const int steps = (frames - 1) * substeps_ + 1;
   const double rate = options_.frames_per_second * substeps_;
-  if (builtin_ == nullptr) {
+  if (file.empty() && builtin_ == nullptr) {
     std::vector<RigPose> poses =
         swaying_motion(rig_, steps, rate, kSway, options_.seed + (unseen ? 0x756e : 0));
     for (RigPose& pose : poses) pose.translation = place_;
@@ -94,13 +93,18 @@ std::vector<RigPose> BodyScene::motion_of(const std::string& file, bool unseen, 
     return (unseen ? unseen_motion(*builtin_, steps, rate, options_.seed)
                    : range_of_motion(*builtin_, steps, rate, options_.seed))
         .poses;
-  BodyMotion motion = retarget_bvh(*builtin_, read_bvh(file), file, steps, rate);
+  const Bvh bvh = read_bvh(file);
+  BodyMotion motion = builtin_ != nullptr ? retarget_bvh(*builtin_, bvh, file, steps, rate)
+                                          : retarget_bvh(rig_, shape_, bvh, file, steps, rate);
   const int found = static_cast<int>(motion.poses.size());
   if (found < steps)
     throw Error(file + ": the motion has " + std::to_string((found - 1) / substeps_ + 1) +
                 " frames at this rate, " + std::to_string(frames) +
                 " are asked for; ask for fewer or raise the rate.");
-  for (RigPose& pose : motion.poses) pose.translation[0] = pose.translation[2] = 0;
+  for (RigPose& pose : motion.poses) {
+    pose.translation[0] = place_[0];
+    pose.translation[2] = place_[2];
+  }
   return motion.poses;
 }
 
@@ -171,10 +175,15 @@ std::array<std::array<float, 12>, 2> BodyScene::root_frames() const {
   const std::vector<float> transforms =
       joint_transforms(shape_, tracked_.at(static_cast<size_t>(frame_)));
   BodyFrames joints;
-  if (builtin_ != nullptr)
+  if (builtin_ != nullptr) {
     joints = body_frames(*builtin_);
-  else
-    joints.face = std::max({0, rig_.joint("head"), rig_.joint("Head")});
+  } else {
+    const std::map<std::string, int> known = humanoid_joints(rig_.joint_names, rig_.parents);
+    const auto joint = [&](const char* name) {
+      return known.count(name) != 0 ? known.at(name) : 0;
+    };
+    joints = {joint("hips"), joint("head")};
+  }
   std::array<std::array<float, 12>, 2> out{};
   std::copy_n(&transforms[12 * static_cast<size_t>(joints.body)], 12, out[0].begin());
   std::copy_n(&transforms[12 * static_cast<size_t>(joints.face)], 12, out[1].begin());

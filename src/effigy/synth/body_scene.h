@@ -15,7 +15,7 @@ namespace effigy {
 struct BodySceneOptions {
   uint64_t subject = 1;
   // A skinned glTF file or a MakeHuman folder of the user's instead of the built-in body; empty:
-  // none. It sways, has no cloth of its own, and its keypoints are its joints.
+  // none. Without a motion it sways; it has no cloth of its own, and its keypoints are its joints.
   std::string body;
   int texture_size = 1024;
   double frames_per_second = 10;
@@ -30,8 +30,8 @@ struct BodySceneOptions {
 
 class BodyScene {
  public:
-  // Throws Error for broken files, for BVH files that are shorter than asked for, for bodies that
-  // are not of a person's size, and for a BVH motion of the user's own body.
+  // Throws Error for broken files, for BVH files that are shorter than asked for or have no known
+  // limbs, and for bodies that are not of a person's size.
   explicit BodyScene(const BodySceneOptions& options);
 
   const Rig& rig() const { return rig_; }
