@@ -12,6 +12,7 @@
 #include "effigy/cli/commands.h"
 #include "effigy/cli/render_frames.h"
 #include "effigy/cli/render_settings.h"
+#include "effigy/people/body_motion.h"
 
 namespace effigy {
 namespace {
@@ -25,13 +26,17 @@ struct BodyRenderOptions {
   std::vector<std::string> point_lights;
   double rotation = 0, turn = 0;
   int shadow_samples = 0;
+  bool in_place = false;
 };
 
 void declare(CLI::App& app, BodyRenderOptions& o) {
   app.add_option("AVATAR", o.avatar, "Avatar folder")->required();
   declare_frames(app, o.frames, body_buffer_names());
-  app.add_option("--drive", o.drive,
-                 "Poses: a track of the avatar (default train), a track file, or a capture folder");
+  app.add_option(
+      "--drive", o.drive,
+      "Poses: a track of the avatar (default train), a track file, a capture folder, or a "
+      "BVH file");
+  app.add_flag("--in-place", o.in_place, "The body stays where it is; only its pose moves");
   app.add_option("--light", o.light,
                  "HDR/EXR environment, or studio (default), overcast, sunset, window");
   app.add_option("--point-light", o.point_lights,
@@ -64,9 +69,22 @@ Track body_drive(const std::string& what, const BodyAvatar& avatar) {
     }
     return track;
   }
-  if (Path(what).extension() == ".safetensors") return read_track(what, avatar.rig);
+  const std::string extension = Path(what).extension().string();
+  if (extension == ".safetensors") return read_track(what, avatar.rig);
+  if (extension == ".bvh" || extension == ".BVH") {
+    const Bvh bvh = read_bvh(what);
+    Track track;
+    track.frames_per_second = bvh.frame_seconds > 0 ? 1 / bvh.frame_seconds : 30;
+    track.poses = retarget_bvh(avatar.rig, shape_rig(avatar.rig, {}), bvh, what, bvh.frames(),
+                               track.frames_per_second)
+                      .poses;
+    for (size_t f = 0; f < track.poses.size(); ++f)
+      track.numbers.push_back(static_cast<int64_t>(f));
+    return track;
+  }
   throw Error("--drive " + what +
-              ": neither a track of this avatar, nor a capture folder, nor a .safetensors track.");
+              ": neither a track of this avatar, nor a capture folder, a .bvh file or a "
+              ".safetensors track.");
 }
 
 PointLights point_lights(const std::vector<std::string>& texts, const Vec3f& center, double angle) {
@@ -86,15 +104,17 @@ PointLights point_lights(const std::vector<std::string>& texts, const Vec3f& cen
   return points;
 }
 
-class BodyFrames {
+class BodyRenderRun {
  public:
-  explicit BodyFrames(const BodyRenderOptions& o)
+  explicit BodyRenderRun(const BodyRenderOptions& o)
       : o_(o), avatar_(read_body_avatar(o.avatar)), renderer_(avatar_) {
     if (o.shadow_samples > 0) renderer_.set_shadow_samples(o.shadow_samples);
   }
 
   void run() {
-    const Track track = body_drive(o_.drive, avatar_);
+    Track track = body_drive(o_.drive, avatar_);
+    if (o_.in_place)
+      for (RigPose& pose : track.poses) pose.translation[0] = pose.translation[2] = 0;
     const int total = static_cast<int>(track.poses.size());
     const std::vector<int> frames = frames_to_render(o_.frames, total);
     const int count = o_.frames.count > 0 ? std::min(o_.frames.count, total - o_.frames.first)
@@ -177,7 +197,7 @@ int run_render_body(int argc, char** argv) {
   declare(app, options);
   add_common(app, common, false, false);
   if (!parse_command_line(app, argc, argv, common)) return 0;
-  BodyFrames(options).run();
+  BodyRenderRun(options).run();
   log_info("wrote " + options.frames.output);
   return 0;
 }
