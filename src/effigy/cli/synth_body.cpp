@@ -81,8 +81,9 @@ void add_synth_body(CLI::App& app, BodyCommand& c) {
   SynthBodyOptions& o = c.options;
   app.add_option("-o,--output", c.output, "Capture folder");
   app.add_option("--subject", o.subject, "Who: 1 to 5 are the standard subjects (default 1)");
-  app.add_option("--body", o.body,
-                 "Your own instead: a skinned glTF file or a MakeHuman folder; without --motion it sways");
+  app.add_option(
+      "--body", o.body,
+      "Your own instead: a skinned glTF file or a MakeHuman folder; without --motion it sways");
   app.add_option("--stage", c.stage,
                  "tiny (8 cameras, 64 lights, 40 frames of 256 pixels), small (default: 16, 128, "
                  "64 of 512) or paper (512, 1024, 5500 of 1152 x 1332)");
