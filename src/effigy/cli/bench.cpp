@@ -13,6 +13,7 @@
 #include "effigy/cli/bench_figures.h"
 #include "effigy/cli/command_line.h"
 #include "effigy/cli/commands.h"
+#include "effigy/cli/family.h"
 #include "effigy/cli/program.h"
 #include "effigy/head/trainer.h"
 #include "effigy/image/metrics.h"
@@ -27,25 +28,6 @@ using Figures = std::vector<BenchResult>;
 
 double seconds_since(Clock::time_point begin) {
   return std::chrono::duration<double>(Clock::now() - begin).count();
-}
-
-BenchResult summarise(const std::string& name, std::vector<double> values) {
-  std::sort(values.begin(), values.end());
-  return {name, values[values.size() / 2], values.front(), values.back(), thread_count()};
-}
-
-// Frames per second in `repeats` batches of frames drawn by draw(i).
-template <typename Draw>
-BenchResult frames_per_second(const std::string& name, int repeats, Draw&& draw) {
-  constexpr int kFrames = 20;
-  for (int i = 0; i < 3; ++i) draw(i);
-  std::vector<double> rates;
-  for (int r = 0; r < repeats; ++r) {
-    const auto begin = Clock::now();
-    for (int i = 0; i < kFrames; ++i) draw(r * kFrames + i);
-    rates.push_back(kFrames / seconds_since(begin));
-  }
-  return summarise(name, std::move(rates));
 }
 
 // Drawing one avatar 512 pixels high, relit: fixed geometry, and the rig moving every frame.
@@ -138,7 +120,7 @@ int run_bench(int argc, char** argv) {
   int repeats = 9;
   CommonOptions common;
   app.add_option("--avatar", avatar_path,
-                 "Measure playback on this avatar (default: the demo head)");
+                 "Measure playback on this avatar, head or body (default: the demo head)");
   app.add_option("--repeats", repeats, "Timed runs of each figure (default 9)")
       ->check(CLI::Range(1, 1000));
   app.add_option("--only", only,
@@ -149,7 +131,7 @@ int run_bench(int argc, char** argv) {
   app.add_option("--size", size, "networks: tiny, small or full (default small)");
   add_common(app, common, false, true);
   if (!parse_command_line(app, argc, argv, common)) return 0;
-  if (only == "networks") return hand_over(argc, argv);
+  if (only == "networks" || names_avatar(argc, argv, "body")) return hand_over(argc, argv);
 
   BenchOptions options;
   options.repeats = repeats;
