@@ -24,8 +24,7 @@ Json read_avatar_json(const Path& folder) {
 }
 
 std::string avatar_kind(const Path& folder) {
-  auto kind =
-      json_field<std::string>(read_avatar_json(folder), "kind", folder / "avatar.json");
+  auto kind = json_field<std::string>(read_avatar_json(folder), "kind", folder / "avatar.json");
   if (kind != "head" && kind != "body")
     throw Error((folder / "avatar.json").string() + ": field 'kind' must be head or body, not '" +
                 kind + "'; correct it.");
