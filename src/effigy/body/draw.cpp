@@ -32,14 +32,12 @@ Cubemap halved_to(Cubemap map, int size) {
     for (int face = 0; face < 6; ++face)
       for (int y = 0; y < half.size; ++y)
         for (int x = 0; x < half.size; ++x) {
-          float* out =
-              &half.texels[3 * static_cast<size_t>((face * half.size + y) * half.size + x)];
+          float* out = half.texels.data() + 3 * ((face * half.size + y) * half.size + x);
           double whole = 0, sum[3] = {};
           for (int k = 0; k < 4; ++k) {
             const int fx = 2 * x + k % 2, fy = 2 * y + k / 2;
             const double angle = cubemap_solid_angle(fx, fy, map.size);
-            const float* in =
-                &map.texels[3 * static_cast<size_t>((face * map.size + fy) * map.size + fx)];
+            const float* in = map.texels.data() + 3 * ((face * map.size + fy) * map.size + fx);
             whole += angle;
             for (int c = 0; c < 3; ++c) sum[c] += angle * static_cast<double>(in[c]);
           }
@@ -80,8 +78,8 @@ BodyLight body_light(const Cubemap& radiance) {
   for (int face = 0; face < 6; ++face)
     for (int y = 0; y < coarse.size; ++y)
       for (int x = 0; x < coarse.size; ++x) {
-        const auto i = static_cast<size_t>((face * coarse.size + y) * coarse.size + x);
-        const Vec3f given = Vec3f(&coarse.texels[3 * i]) *
+        const int i = 3 * ((face * coarse.size + y) * coarse.size + x);
+        const Vec3f given = Vec3f(coarse.texels.data() + i) *
                             static_cast<float>(cubemap_solid_angle(x, y, coarse.size));
         light.directions.lights.push_back(
             {cubemap_direction(face, x, y, coarse.size), given, true});
@@ -249,9 +247,9 @@ void BodyPicture::State::gather_pixels(const Camera& camera, const BodyDrawOptio
   const auto width = static_cast<uint32_t>(image.width);
   parallel_for(m, kGrain, [&](size_t begin, size_t end, int) {
     for (size_t e = begin; e < end; ++e) {
-      const uint32_t p = pixel[e];
-      const double x = (p % width + 0.5 - camera.cx) / camera.fx;
-      const double y = (p / width + 0.5 - camera.cy) / camera.fy;
+      const uint32_t p = pixel[e], column = p % width, row = p / width;
+      const double x = (column + 0.5 - camera.cx) / camera.fx;
+      const double y = (row + 0.5 - camera.cy) / camera.fy;
       const Vec3f ray =
           world_from_camera * Vec3f(static_cast<float>(x), static_cast<float>(y), 1.0f);
       const float depth = image.plane(1 + kBodyDepth)[p] / alpha[p];

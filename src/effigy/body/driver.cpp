@@ -88,6 +88,7 @@ BodyDriver::BodyDriver(const StageCapture& capture)
     throw Error(capture.folder.string() + ": the rig has no joints; give a rigged mesh.");
   const std::vector<int> frames = spread_frames_of(capture);
   std::vector<std::vector<float>> transforms;
+  transforms.reserve(frames.size());
   for (const int f : frames)
     transforms.push_back(joint_transforms(shape_, capture.poses[static_cast<size_t>(f)]));
   body_root_ = root_joint(capture.body_from_rest, frames, transforms, capture.rig.joint_count());
@@ -113,7 +114,7 @@ void BodyDriver::bind(const StageCapture& capture, std::span<const float> all, s
     KeypointBinding best;
     float least = std::numeric_limits<float>::max();
     std::vector<Vec3f> at(frames.size());
-    const auto consider = [&](KeypointBinding binding) {
+    const auto consider = [&](const KeypointBinding& binding) {
       for (size_t k = 0; k < frames.size(); ++k) {
         const Affine world = transform(transforms[k], binding.joint);
         const Vec3f from = binding.triangle < 0

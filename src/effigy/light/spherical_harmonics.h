@@ -42,7 +42,8 @@ void for_each_sh(int order, const T* direction, const Term& term) {
         p = next;
         dp = d_next;
       }
-      const T k = static_cast<T>(detail::kShNorm[static_cast<size_t>(l * (l + 1) / 2 + m)]);
+      const int index = l * (l + 1) / 2 + m;
+      const T k = static_cast<T>(detail::kShNorm[static_cast<size_t>(index)]);
       const T kp = k * p, kpm = kp * fm, kd = k * dp;
       const T dc[3] = {kpm * c_before, -kpm * s_before, kd * c};
       term(l, m, kp * c, dc);
