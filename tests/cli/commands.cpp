@@ -194,7 +194,13 @@ TEST(Commands, SynthMakesACaptureThatInfoFindsSound) {
   const Outcome noise =
       run("synth head -o x --frames 4 --size 48 --spp 2 --measure-noise 4 --json");
   ASSERT_EQ(noise.code, 0) << noise.err;
-  EXPECT_GT(Json::parse(noise.out)["psnr"].get<double>(), 15);
+  const Json measured = Json::parse(noise.out);
+  EXPECT_GT(measured["psnr"].get<double>(), 15);
+  EXPECT_EQ(measured["lights"].size(), 4u);
+  for (const auto& [light, figures] : measured["lights"].items()) {
+    EXPECT_LE(figures["psnr_least"], figures["psnr"]) << light;
+    EXPECT_LT(figures["psnr_foreground"], figures["psnr"]) << light;
+  }
 }
 
 TEST(Commands, SynthBodyMakesAStageThatInfoFindsSound) {

@@ -12,6 +12,7 @@
 #include "effigy/base/threads.h"
 #include "effigy/light/brdf_table.h"
 #include "effigy/light/builtin_lights.h"
+#include "effigy/synth/camera_rays.h"
 #include "shapes.h"
 #include "support.h"
 
@@ -505,6 +506,38 @@ TEST(PathTracer, RefusesWhatCannotBeTraced) {
   EXPECT_THROW(scene.set_point_lights({{Vec3f(nan, 0, 0), Vec3f::Ones()}}), Error);
   EXPECT_THROW(TraceScene().commit(), Error);
   EXPECT_THROW(trace_image(scene, front(4), samples(0)), Error);
+}
+
+// Pixels left out are those no ray of which meets anything; hardly more are traced.
+TEST(PathTracer, LeavesOutOnlyEmptyPixels) {
+  TraceScene scene = scene_of(sphere(0.4, 12, Vec3d(0.1, 0, 0)), lambert(Vec3f::Ones()));
+  Camera camera = front(48);
+  camera.cx += 9.3;
+  camera.cy -= 11.6;
+  const std::vector<char> seen = scene.seen_pixels(camera);
+  const CameraRays rays(camera);
+  Random random(3);
+  int hit = 0, traced = 0;
+  for (int y = 0; y < 48; ++y)
+    for (int x = 0; x < 48; ++x) {
+      bool meets = false;
+      for (int k = 0; k < 64; ++k)
+        meets |=
+            scene.closest(rays.origin(), rays.direction(x + random.uniform(), y + random.uniform()))
+                .triangle >= 0;
+      hit += meets;
+      traced += seen[static_cast<size_t>(48 * y + x)];
+      ASSERT_TRUE(!meets || seen[static_cast<size_t>(48 * y + x)]) << x << " " << y;
+    }
+  EXPECT_GT(hit, 100);
+  EXPECT_LT(traced, 1.5 * hit);
+  // A surface that reaches beside and behind the camera may be anywhere; one behind it is nowhere.
+  scene = scene_of(square(9), lambert(Vec3f::Ones()));
+  for (const bool across : {true, false}) {
+    const Camera inside = across ? look_at(Vec3d(0, 0.1, 0.5), Vec3d(9, 0.1, 0.5), 0.5, 8, 8)
+                                 : look_at(Vec3d(0, 0, 4), Vec3d(0, 0, 9), 0.5, 8, 8);
+    for (const char s : scene.seen_pixels(inside)) EXPECT_EQ(s != 0, across);
+  }
 }
 
 }  // namespace

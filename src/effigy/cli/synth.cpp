@@ -58,7 +58,7 @@ void add_head(CLI::App& app, HeadCommand& c) {
   app.add_option("--tracking-error", o.tracking_error,
                  "Error of the tracked parameters; 1: about 1 mm, half a degree, 0.03 of a shape");
   app.add_option("--measure-noise", c.measure_noise,
-                 "Only print the PSNR of one frame against N times the samples");
+                 "Only print the PSNR of four frames under each light against N times the samples");
 }
 
 struct SceneCommand {
@@ -91,6 +91,25 @@ int synth_scene(const SceneCommand& c, const CommonOptions& common) {
   return 0;
 }
 
+void print_noise(const HeadCommand& c, const CommonOptions& common) {
+  constexpr int kMoments = 4;
+  const SynthHeadOptions& o = c.options;
+  const std::vector<HeadNoise> noise = synth_head_noise(o, c.measure_noise, kMoments);
+  if (common.json) {
+    Json json = {{"psnr", noise[0].psnr}, {"samples", o.samples}};
+    for (const HeadNoise& n : noise)
+      json["lights"][n.light] = {
+          {"psnr", n.psnr}, {"psnr_least", n.least}, {"psnr_foreground", n.foreground}};
+    print_json(json);
+    return;
+  }
+  std::printf("%d samples against %d, PSNR over %d frames\n", o.samples,
+              o.samples * c.measure_noise, kMoments);
+  for (const HeadNoise& n : noise)
+    std::printf("  %-12s %.2f dB, least %.2f dB; over the matte %.2f dB\n", n.light.c_str(), n.psnr,
+                n.least, n.foreground);
+}
+
 int synth_head(HeadCommand& c, const CommonOptions& common) {
   SynthHeadOptions& o = c.options;
   o.seed = common.seed;
@@ -104,13 +123,7 @@ int synth_head(HeadCommand& c, const CommonOptions& common) {
   }
   if (c.measure_noise > 0) {
     if (c.measure_noise < 2) throw Error("--measure-noise needs a factor of at least 2.");
-    const double noise = synth_head_noise(o, c.measure_noise);
-    if (common.json) {
-      print_json({{"psnr", noise}, {"samples", o.samples}});
-    } else {
-      std::printf("PSNR of %d samples against %d: %.2f dB\n", o.samples,
-                  o.samples * c.measure_noise, noise);
-    }
+    print_noise(c, common);
     return 0;
   }
   const SynthHeadResult result = synth_head_capture(o, c.output);

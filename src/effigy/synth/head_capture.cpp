@@ -281,20 +281,35 @@ SynthHeadResult synth_head_capture(const SynthHeadOptions& options, const Path& 
   return HeadCaptureWriter(options, folder).run();
 }
 
-double synth_head_noise(const SynthHeadOptions& options, int factor) {
+std::vector<HeadNoise> synth_head_noise(const SynthHeadOptions& options, int factor, int frames) {
   check_options(options);
-  EFFIGY_CHECK(factor > 1);
+  EFFIGY_CHECK(factor > 1 && frames >= 1);
   HeadStudio studio(options);
+  std::vector<HeadNoise> noise = {{synth_light_name(options.light)}};
   studio.add_light(options.light);
-  const int frame = 3 * options.frames / 8;
-  studio.head().pose(studio.head().performance(frame / options.frames_per_second), frame);
-  const auto shown = [&] {
-    return to_float(to_8bit(display_image(studio.draw(synth_light_name(options.light)))));
-  };
-  const Image image = shown();
-  studio.trace().samples *= factor;
-  studio.trace().seed += 1;
-  return psnr(shown(), image);
+  for (const std::string& light : options.relight) {
+    studio.add_light(light);
+    noise.push_back({synth_light_name(light)});
+  }
+  for (HeadNoise& n : noise) n.least = 100;
+  const TraceOptions usual = studio.trace();
+  for (int k = 0; k < frames; ++k) {
+    const auto frame = static_cast<int>((k + 0.5) * options.frames / frames);
+    studio.head().pose(studio.head().performance(frame / options.frames_per_second), frame);
+    for (HeadNoise& n : noise) {
+      const Image radiance = studio.draw(n.light), matte = alpha_image(radiance);
+      studio.trace().samples = usual.samples * factor;
+      studio.trace().seed = usual.seed + 1;
+      const Image truth = to_float(to_8bit(display_image(studio.draw(n.light))));
+      studio.trace() = usual;
+      const Image image = to_float(to_8bit(display_image(radiance)));
+      const double all = psnr(truth, image);
+      n.psnr += all / frames;
+      n.least = std::min(n.least, all);
+      n.foreground += psnr(truth, image, &matte) / frames;
+    }
+  }
+  return noise;
 }
 
 }  // namespace effigy

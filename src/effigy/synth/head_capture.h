@@ -52,9 +52,15 @@ struct SynthHeadResult {
 // folder that is not empty is refused.
 SynthHeadResult synth_head_capture(const SynthHeadOptions& options, const Path& folder);
 
-// PSNR of the middle training frame, as the capture holds it but without defects, against the same
-// frame with `factor` times the samples and other random numbers.
-double synth_head_noise(const SynthHeadOptions& options, int factor);
+// PSNR under one light, as the capture holds its images but without defects, against the same
+// frames with `factor` times the samples and other random numbers.
+struct HeadNoise {
+  std::string light;
+  double psnr = 0, least = 0, foreground = 0;  // mean and least frame; mean over the matte alone
+};
+// `frames` moments evenly over the performance, under the capture's light and those of the
+// relighting truth.
+std::vector<HeadNoise> synth_head_noise(const SynthHeadOptions& options, int factor, int frames);
 
 // The performance: talking, blinks, brows, gaze and head turns, smooth in time; expressions that
 // the rig does not have are left out.

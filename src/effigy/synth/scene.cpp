@@ -207,6 +207,36 @@ void TraceScene::check_outside(const Vec3d& eye) const {
         "it out.");
 }
 
+std::vector<char> TraceScene::seen_pixels(const Camera& camera) const {
+  constexpr double kMargin = 0.5;  // pixels, for rounding
+  const auto width = static_cast<size_t>(camera.width), height = static_cast<size_t>(camera.height);
+  std::vector<char> seen(width * height, 0);
+  const double nearest = 1e-3 * static_cast<double>(offset_);
+  for (const Facet& facet : triangles_) {
+    Vec2d low = Vec2d::Constant(1e30), high = -low;
+    int before = 0;
+    for (const Vec3f& corner : facet.position) {
+      const Vec3d p = camera.to_camera(corner.cast<double>());
+      if (p.z() <= nearest) continue;
+      ++before;
+      const Vec2d at(camera.fx * p.x() / p.z() + camera.cx, camera.fy * p.y() / p.z() + camera.cy);
+      low = low.cwiseMin(at);
+      high = high.cwiseMax(at);
+    }
+    if (before == 0) continue;
+    if (before < 3) return std::vector<char>(seen.size(), 1);  // reaches beside the camera
+    const auto pixel = [](double x, size_t count) {
+      return static_cast<size_t>(std::clamp(x, 0.0, static_cast<double>(count)));
+    };
+    const size_t x0 = pixel(low.x() - kMargin, width), x1 = pixel(high.x() + kMargin + 1, width);
+    const size_t y0 = pixel(low.y() - kMargin, height), y1 = pixel(high.y() + kMargin + 1, height);
+    for (size_t y = y0; y < y1; ++y)
+      std::fill(seen.begin() + static_cast<std::ptrdiff_t>(y * width + x0),
+                seen.begin() + static_cast<std::ptrdiff_t>(y * width + x1), char{1});
+  }
+  return seen;
+}
+
 TraceScene::Hit TraceScene::closest(const Vec3f& origin, const Vec3f& direction, float near) const {
   const RayHit hit = rays_->closest(origin, direction, near);
   return {hit.triangle, hit.distance, hit.b, hit.c};

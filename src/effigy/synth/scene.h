@@ -65,6 +65,9 @@ class TraceScene {
   const EnvironmentSampler* environment() const { return environment_.get(); }
   const std::vector<StageLight>& point_lights() const { return point_lights_; }
 
+  // Per pixel, row by row: 0 where no ray through the pixel's square meets anything.
+  std::vector<char> seen_pixels(const Camera& camera) const;
+
   // Indexes the posed meshes for rays. Throws Error when there is nothing to see.
   void commit();
   // Throws Error unless some light shines.
