@@ -9,6 +9,7 @@
 
 #include "effigy/base/json.h"
 #include "effigy/capture/stage_capture.h"
+#include "small_bvh.h"
 #include "support.h"
 #include "tiny_gltf.h"
 
@@ -92,6 +93,26 @@ TEST(SynthBody, TrackedMeshIsSkinnedAndTheTruthHasWrinkles) {
   // A moment and the same one under an environment.
   EXPECT_EQ(load_frame_arrays(c, 3).truth, load_frame_arrays(c, 4).truth);
   EXPECT_NE(load_frame_arrays(c, 3).irradiance, load_frame_arrays(c, 4).irradiance);
+}
+
+// Over all frames the person fills 85 to 90 % of each picture, cloth included.
+TEST(SynthBody, PicturesAreFilled) {
+  const StageCapture& c = capture();
+  for (const StageCamera& camera : c.cameras) {
+    Vec2d low = Vec2d::Constant(1e9), high = -low;
+    for (int f = 0; f < 5; ++f) {
+      const std::vector<float> truth = load_frame_arrays(c, f).truth;
+      for (size_t v = 0; v < truth.size(); v += 3) {
+        const Vec2d at = camera.camera.project(Vec3f(&truth[v]).cast<double>());
+        low = low.cwiseMin(at);
+        high = high.cwiseMax(at);
+      }
+    }
+    EXPECT_GT((high - low).maxCoeff() / 48, 0.85) << camera.name;
+    EXPECT_LT((high - low).maxCoeff() / 48, 0.90) << camera.name;
+    EXPECT_GT(low.minCoeff(), 1);
+    EXPECT_LT(high.maxCoeff(), 47);
+  }
 }
 
 TEST(SynthBody, KeypointsMoveWithTheirRoots) {
@@ -275,18 +296,44 @@ TEST(SynthBody, FilmsTheUsersOwn) {
   EXPECT_TRUE(test::contains(error_of("\"name\":\"base\"", "\"name\":\"base\",\"scale\":[9,9,9]"),
                              "metres tall"));
   EXPECT_FALSE(fs::exists(scratch / "other.partial"));
+  // Two joints are no person that a BVH file could move.
+  write_text(scratch / "body.gltf", test::sound_gltf());
+  write_text(scratch / "motion.bvh", test::sound_file(20));
+  options.motion = (scratch / "motion.bvh").string();
+  options.stage.frames_per_second = 30;
+  try {
+    synth_body_capture(options, scratch / "other");
+    ADD_FAILURE();
+  } catch (const Error& error) {
+    EXPECT_TRUE(test::contains(error.what(), "of the body is known as")) << error.what();
+  }
 }
 
 TEST(SynthBody, FilmsAClothedPersonFromAFile) {
   const Path data = test::outside_data("EFFIGY_DATA");
   const Path file = data / "body/morse_human/morse_makehuman_human.glb";
-  if (data.empty() || !fs::exists(file)) GTEST_SKIP() << "needs EFFIGY_DATA/body/morse_human";
+  const Path motion = data / "body/mocap/cmu_01_01.bvh";
+  if (data.empty() || !fs::exists(file) || !fs::exists(motion))
+    GTEST_SKIP() << "needs EFFIGY_DATA/body/morse_human and EFFIGY_DATA/body/mocap";
   const test::ScratchFolder scratch;
   SynthBodyOptions options = tiny();
   options.body = file.string();
+  options.motion = motion.string();
+  options.stage.frames_per_second = 1;
   options.relight.clear();
   synth_body_capture(options, scratch / "stage");
   const StageCapture c = read_stage_capture(scratch / "stage");
+  // From the clip's T-pose on the floor into a jump.
+  const auto height = [&](size_t frame, const char* joint) {
+    const auto at = std::find(c.body_keypoint_names.begin(), c.body_keypoint_names.end(), joint);
+    return c.body_keypoints[3 * (frame * c.body_keypoint_names.size() +
+                                 static_cast<size_t>(at - c.body_keypoint_names.begin())) +
+                            1];
+  };
+  EXPECT_GT(height(0, "head"), 1.5f);
+  EXPECT_GT(height(2, "head"), height(0, "head") + 0.1f);
+  EXPECT_NEAR(height(0, "wrist_L"), height(0, "shoulder02_L"), 0.15f);
+  EXPECT_NEAR(height(0, "foot_L"), 0.13f, 0.06f);
   double covered = 0;
   const Image8 mask = c.load_mask(1, 1);
   for (const uint8_t m : mask.data) covered += m / 255.0;

@@ -7,6 +7,8 @@
 #include <numbers>
 #include <set>
 
+#include "effigy/base/log.h"
+#include "effigy/base/random.h"
 #include "effigy/capture/stage_capture.h"
 #include "support.h"
 
@@ -69,6 +71,7 @@ TEST(LightStage, CamerasAndLightsStandOnTheDome) {
 
 TEST(LightStage, PaperStage) {
   const StageOptions options = stage_preset("paper");
+  EXPECT_EQ(options.framing, StageFraming::kDome);
   const LightStage stage = make_light_stage(options);
   EXPECT_EQ(stage.cameras.size(), 512u);
   EXPECT_EQ(stage.lights.size(), 1024u);
@@ -77,6 +80,52 @@ TEST(LightStage, PaperStage) {
                           [](const StageCamera& c) { return c.test; }),
             102);
   EXPECT_THROW(stage_preset("large"), Error);
+}
+
+// Whatever the person covers fills 88 % of the fuller side of every picture, in its middle.
+TEST(LightStage, FramesWhereThePersonMoves) {
+  Random random(4);
+  std::vector<Vec3f> points;
+  for (int i = 0; i < 2000; ++i)
+    points.push_back(
+        Vec3d(1.2 * random.uniform() - 0.3, 1.9 * random.uniform(), 0.8 * random.uniform() - 0.5)
+            .cast<float>());
+  for (const auto& [width, height] : {std::pair{512, 512}, {200, 512}, {512, 200}}) {
+    StageOptions options;
+    options.width = width;
+    options.height_pixels = height;
+    LightStage stage = make_light_stage(options);
+    const LightStage before = stage;
+    frame_cameras(points, stage.cameras);
+    for (size_t c = 0; c < stage.cameras.size(); ++c) {
+      const Camera& camera = stage.cameras[c].camera;
+      EXPECT_LT((camera.center() - before.cameras[c].camera.center()).norm(), 1e-9);
+      EXPECT_EQ(camera.fx, camera.fy);
+      EXPECT_EQ(stage.cameras[c].test, before.cameras[c].test);
+      Vec2d low = Vec2d::Constant(1e9), high = -low;
+      for (const Vec3f& p : points) {
+        const Vec2d at = camera.project(p.cast<double>());
+        low = low.cwiseMin(at);
+        high = high.cwiseMax(at);
+      }
+      const double filled = std::max((high - low).x() / width, (high - low).y() / height);
+      EXPECT_GT(filled, 0.87) << c;
+      EXPECT_LT(filled, 0.8801) << c;
+      EXPECT_NEAR((low + high).x() / width, 1, 0.02);
+      EXPECT_NEAR((low + high).y() / height, 1, 0.02);
+    }
+  }
+  // A camera among the points stays.
+  StageOptions options;
+  options.radius = 0.3;
+  LightStage stage = make_light_stage(options);
+  const LightStage before = stage;
+  frame_cameras(points, stage.cameras);
+  EXPECT_EQ(stage.cameras[0].camera.fx, before.cameras[0].camera.fx);
+  EXPECT_EQ(stage.cameras[0].camera.camera_from_world_rotation,
+            before.cameras[0].camera.camera_from_world_rotation);
+  EXPECT_EQ(stage_framing_from_name("dome"), StageFraming::kDome);
+  EXPECT_THROW(stage_framing_from_name("tight"), Error);
 }
 
 TEST(LightStage, ProtocolHoldsOutCamerasLightsAndMotion) {
@@ -159,6 +208,60 @@ TEST(LightStage, ReadsPositionsAndRefusesBrokenOnes) {
   EXPECT_THROW(read_light_positions(scratch / "absent.npy", 2, Vec3d::Zero()), Error);
 }
 
+// A dome of lights around `centre` with an opening at +y, y down.
+std::string open_dome(double opening, const Vec3d& centre) {
+  std::string text;
+  for (const Vec3d& d : dome_directions(150, -1, std::cos(opening), 0))
+    text += format("{} {} {}\n", 3 * d.x() + centre.x(), 3 * d.y() + centre.y(),
+                   3 * d.z() + centre.z());
+  return text;
+}
+
+TEST(LightStage, KnowsWhichWayIsUp) {
+  const test::ScratchFolder scratch;
+  const Path file = scratch / "lights.txt";
+  const auto read = [&](UpAxis up) { return read_light_positions(file, 2, Vec3d(0, 1, 0), up); };
+  // Off the origin, on a sphere: its centre counts. The opening is the floor.
+  const Vec3d off(0.1, -0.2, 0.05);
+  write_text(file, open_dome(0.6, off));
+  const std::vector<Vec3d> turned = read(UpAxis::kAuto), kept = read(UpAxis::kPlusY);
+  for (size_t i = 0; i < turned.size(); ++i) {
+    EXPECT_NEAR((turned[i] - Vec3d(0, 1, 0)).norm(), 2, 1e-6);
+    EXPECT_LT(turned[i].y(), 3.01);
+    EXPECT_GT(turned[i].y(), 1 - 2 * std::cos(0.6) - 1e-6);
+    EXPECT_LT((Vec3d(kept[i].x(), 2 - kept[i].y(), -kept[i].z()) - turned[i]).norm(), 1e-6);
+  }
+  EXPECT_EQ(read(UpAxis::kMinusY), turned);
+  // Without an opening, with one below, and with lights before the person only, y is up.
+  for (const std::string& text :
+       {open_dome(0.0, off), std::string("0 0 1\n0.1 0.2 1\n-0.1 0.2 1\n0 -0.6 1\n"),
+        std::string("0 -1 0\n1 0 0\n")}) {
+    write_text(file, text);
+    EXPECT_EQ(read(UpAxis::kAuto), read(UpAxis::kPlusY));
+  }
+  std::string below;
+  for (const Vec3d& d : dome_directions(150, -0.8, 1, 0))
+    below += format("{} {} {}\n", d.x(), d.y(), d.z());
+  write_text(file, below);
+  EXPECT_EQ(read(UpAxis::kAuto), read(UpAxis::kPlusY));
+  // Every named axis becomes y, by a turn and no mirror.
+  write_text(file, "1 0 0\n0 1 0\n0 0 1\n");
+  const std::vector<std::pair<const char*, Vec3d>> axes = {{"+x", {1, 0, 0}}, {"-x", {-1, 0, 0}},
+                                                           {"+y", {0, 1, 0}}, {"-y", {0, -1, 0}},
+                                                           {"+z", {0, 0, 1}}, {"-z", {0, 0, -1}}};
+  for (const auto& [name, axis] : axes) {
+    const std::vector<Vec3d> p =
+        read_light_positions(file, 1, Vec3d::Zero(), up_axis_from_name(name));
+    Mat3d r;
+    r << p[0], p[1], p[2];
+    EXPECT_NEAR(r.determinant(), 1, 1e-12);
+    EXPECT_LT((r * axis - Vec3d::UnitY()).norm(), 1e-12) << name;
+  }
+  EXPECT_THROW(up_axis_from_name("up"), Error);
+}
+
+// 142 lights of a real stage: y points down there, where the floor is no light stands, and the
+// dome's centre lies 4 cm beside the origin.
 TEST(LightStage, ReadsTheMeasuredStage) {
   const Path data = test::outside_data("EFFIGY_DATA");
   const Path file = data / "lightstage/openillumination_light_pos_142.npy";
@@ -169,8 +272,15 @@ TEST(LightStage, ReadsTheMeasuredStage) {
   options.lights = 0;
   const LightStage stage = make_light_stage(options);
   ASSERT_EQ(stage.lights.size(), 142u);
-  for (const StageLight& light : stage.lights)
-    EXPECT_NEAR((light.position.cast<double>() - stage.centre).norm(), 2.75, 0.15);
+  std::vector<Vec3d> directions;
+  for (const StageLight& light : stage.lights) {
+    directions.push_back((light.position.cast<double>() - stage.centre) / 2.75);
+    EXPECT_NEAR(directions.back().norm(), 1, 1e-6);
+  }
+  EXPECT_GT(directions[0].y(), 0.97);
+  EXPECT_GT(opening_towards(directions, -Vec3d::UnitY()), 0.5);
+  for (const Vec3d& d : {Vec3d(0, 1, 0), Vec3d(1, 0, 0), Vec3d(0, 0, 1), Vec3d(0, 0, -1)})
+    EXPECT_LT(opening_towards(directions, d), 0.35);
 }
 
 TEST(LightStage, RefusesImpossibleStages) {

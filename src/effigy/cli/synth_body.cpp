@@ -24,7 +24,9 @@ StageOptions stage_from(const BodyCommand& c, const CommonOptions& common) {
     stage.height_pixels = c.size.back();
   }
   stage.light_file = c.light_file;
+  stage.light_up = up_axis_from_name(c.light_up);
   stage.lighting = stage_lighting_from_name(c.lighting);
+  if (!c.framing.empty()) stage.framing = stage_framing_from_name(c.framing);
   stage.seed = common.seed;
   return stage;
 }
@@ -90,13 +92,19 @@ void add_synth_body(CLI::App& app, BodyCommand& c) {
   app.add_option("--cameras", c.cameras, "Cameras on the dome, a fifth of them held out");
   app.add_option("--lights", c.lights, "Lights on the dome");
   app.add_option("--light-positions", c.light_file,
-                 "Positions of the lights instead: .npy [N, 3] or three numbers a line, y up");
+                 "Positions of the lights instead: .npy [N, 3] or three numbers a line");
+  app.add_option("--light-up", c.light_up,
+                 "Axis of that file that points up: auto (default: +y, or -y when lights stand all "
+                 "around but for an opening at +y), +y, -y, +z, -z, +x, -x");
   app.add_option("--radius", c.radius, "Of the dome, metres (default 2.75)");
   app.add_option("--frames", c.frames, "Frames in all");
   app.add_option("--unseen-frames", c.unseen_frames,
                  "Of them, of unseen motion (default an eighth)");
   app.add_option("--fps", c.frames_per_second, "Frames a second (default 5)");
   app.add_option("--size", c.size, "Pixels: a side, or width and height")->expected(1, 2);
+  app.add_option("--framing", c.framing,
+                 "What fills the pictures: person (default: where the person moves) or dome "
+                 "(default of the paper's stage: 1.1 metres around the dome's middle)");
   app.add_option("--lighting", c.lighting,
                  "mixed (default: every third frame all lights, the others 10 to 20), full, "
                  "groups, single, environment");

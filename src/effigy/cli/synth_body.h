@@ -9,7 +9,8 @@ namespace effigy {
 // The command's options as they are given; the preset's values stand where nothing is.
 struct BodyCommand {
   SynthBodyOptions options;
-  std::string output, stage = "small", lighting = "mixed", mesh = "tracked", light_file;
+  std::string output, stage = "small", lighting = "mixed", mesh = "tracked", light_file, framing,
+                      light_up = "auto";
   int cameras = -1, lights = -1, frames = -1, unseen_frames = -1;
   double radius = -1, frames_per_second = -1;
   std::vector<int> size;

@@ -40,6 +40,7 @@ Json plan_json(const SynthBodyOptions& o) {
   return {{"cameras", s.cameras},
           {"lights", s.lights},
           {"light_file", s.light_file},
+          {"light_up", static_cast<int>(s.light_up)},
           {"radius", s.radius},
           {"height", s.height},
           {"size", {s.width, s.height_pixels}},
@@ -47,6 +48,7 @@ Json plan_json(const SynthBodyOptions& o) {
           {"unseen_frames", s.unseen_frames},
           {"frames_per_second", s.frames_per_second},
           {"lighting", static_cast<int>(s.lighting)},
+          {"framing", s.framing == StageFraming::kPerson ? "person" : "dome"},
           {"seed", s.seed},
           {"subject", o.subject},
           {"body", o.body},
@@ -202,6 +204,8 @@ class BodyCaptureWriter {
         protocol_(make_protocol(options)),
         folder_(folder, plan_json(options)),
         body_(scene_options(options, protocol_)) {
+    if (options.stage.framing == StageFraming::kPerson)
+      frame_cameras(body_.reach(), protocol_.stage.cameras);
     trace_.samples = options.samples;
     trace_.bounces = options.bounces;
     trace_.seed = options.stage.seed;
@@ -379,13 +383,19 @@ class BodyCaptureWriter {
 
 // Seconds a sample of a fully lit view takes on this machine.
 double probe_seconds(const SynthBodyOptions& options, const LightStage& stage) {
-  constexpr int kSide = 96, kSamples = 16;
+  constexpr int kSide = 96, kSamples = 16, kMoments = 16;
   BodySceneOptions scene;
   scene.subject = options.subject;
   scene.body = options.body;
   scene.texture_size = 256;
   scene.subsurface = options.subsurface;
+  scene.frames_per_second = 1;
+  scene.frames = kMoments;
+  scene.seed = options.stage.seed;
   BodyScene body(scene);
+  StageCamera view = stage.cameras[0];
+  view.camera = view.camera.resized(kSide, kSide);
+  if (options.stage.framing == StageFraming::kPerson) frame_cameras(body.reach(), {&view, 1});
   body.advance();
   body.show(body.truth());
   body.scene().set_point_lights(stage.lights);
@@ -393,7 +403,7 @@ double probe_seconds(const SynthBodyOptions& options, const LightStage& stage) {
   trace.samples = kSamples;
   trace.bounces = options.bounces;
   const auto begin = std::chrono::steady_clock::now();
-  trace_image(body.scene(), stage.cameras[0].camera.resized(kSide, kSide), trace);
+  trace_image(body.scene(), view.camera, trace);
   const std::chrono::duration<double> taken = std::chrono::steady_clock::now() - begin;
   return taken.count() / (kSide * kSide * kSamples);
 }

@@ -116,6 +116,30 @@ void BodyScene::add_motion(const std::vector<RigPose>& motion, int frames) {
   for (int f = 0; f < frames; ++f) poses_.push_back(motion[static_cast<size_t>(f * substeps_)]);
 }
 
+std::vector<Vec3f> BodyScene::reach() const {
+  constexpr float kCell = 0.01f, kFurthest = 1e5f;
+  std::vector<std::array<int, 3>> cells, more;
+  std::vector<float> vertices;
+  for (const RigPose& pose : poses_) {
+    pose_vertices(shape_, pose, vertices);
+    more = cells;
+    for (size_t i = 0; i < vertices.size(); i += 3) {
+      const auto cell = [&](size_t c) {
+        return static_cast<int>(
+            std::lround(std::clamp(vertices[i + c], -kFurthest, kFurthest) / kCell));
+      };
+      more.push_back({cell(0), cell(1), cell(2)});
+    }
+    std::sort(more.begin(), more.end());
+    more.erase(std::unique(more.begin(), more.end()), more.end());
+    cells.swap(more);
+  }
+  std::vector<Vec3f> points;
+  for (const std::array<int, 3>& cell : cells)
+    points.push_back(kCell * Eigen::Map<const Vec3i>(cell.data()).cast<float>());
+  return points;
+}
+
 void BodyScene::advance() {
   ++frame_;
   EFFIGY_CHECK(frame_ < static_cast<int>(poses_.size()));

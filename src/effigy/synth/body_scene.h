@@ -38,6 +38,8 @@ class BodyScene {
   TraceScene& scene() { return scene_; }
   const std::vector<RigPose>& true_poses() const { return poses_; }
   const std::vector<RigPose>& tracked_poses() const { return tracked_; }
+  // Where the surface comes in all frames, metres, to a centimetre; the swing of cloth left out.
+  std::vector<Vec3f> reach() const;
 
   // Goes on to the next frame: moves the cloth and poses nothing yet. Frames come in order.
   void advance();

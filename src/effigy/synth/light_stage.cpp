@@ -4,11 +4,9 @@
 #include <cmath>
 #include <numbers>
 #include <numeric>
-#include <sstream>
 
 #include "effigy/base/error.h"
 #include "effigy/base/log.h"
-#include "effigy/base/npy.h"
 #include "effigy/base/random.h"
 
 namespace effigy {
@@ -16,6 +14,7 @@ namespace {
 
 constexpr double kPi = std::numbers::pi;
 constexpr double kReach = 1.1;  // metres around the dome's centre that cameras see
+constexpr double kFilled = 0.88;
 constexpr double kHeldOutCameras = 0.2, kHeldOutFrames = 0.1, kGroupPower = 0.5,
                  kSinglePower = 0.25;
 constexpr int kMostCameras = 10000, kMostLights = 100000, kMostFrames = 1000000,
@@ -70,6 +69,23 @@ std::vector<std::pair<int, float>> random_group(int lights, Random& random) {
   return group;
 }
 
+// What points cover of a camera's picture, on the plane at distance 1.
+struct ViewBox {
+  Vec2d low = Vec2d::Constant(1e30), high = Vec2d::Constant(-1e30);
+  // False when a point is not well before the camera.
+  bool hold(std::span<const Vec3f> points, const Camera& camera) {
+    constexpr double kSteepest = 0.2;  // of the way to a point, along the optical axis
+    for (const Vec3f& point : points) {
+      const Vec3d p = camera.to_camera(point.cast<double>());
+      if (!(p.z() > kSteepest * p.norm())) return false;
+      const Vec2d at = p.head<2>() / p.z();
+      low = low.cwiseMin(at);
+      high = high.cwiseMax(at);
+    }
+    return true;
+  }
+};
+
 std::string number_name(const char* prefix, size_t i) {
   return format("{}{:03}", prefix, i);
 }
@@ -89,6 +105,12 @@ StageLighting stage_lighting_from_name(const std::string& name) {
               "'; choose mixed, full, groups, single or environment.");
 }
 
+StageFraming stage_framing_from_name(const std::string& name) {
+  if (name == "person") return StageFraming::kPerson;
+  if (name == "dome") return StageFraming::kDome;
+  throw Error("There is no framing '" + name + "'; choose person or dome.");
+}
+
 StageOptions stage_preset(const std::string& name) {
   StageOptions o;
   if (name == "small") return o;
@@ -106,6 +128,7 @@ StageOptions stage_preset(const std::string& name) {
     o.height_pixels = 1332;
     o.frames = 5500;
     o.frames_per_second = 90;
+    o.framing = StageFraming::kDome;
     return o;
   }
   throw Error("There is no stage '" + name + "'; choose tiny, small or paper.");
@@ -119,45 +142,6 @@ std::vector<Vec3d> dome_directions(int count, double lowest, double highest, dou
     const double r = std::sqrt(std::max(0.0, 1 - y * y)), angle = kGolden * i + 2 * kPi * turn;
     out.emplace_back(r * std::sin(angle), y, r * std::cos(angle));
   }
-  return out;
-}
-
-std::vector<Vec3d> read_light_positions(const Path& path, double radius, const Vec3d& centre) {
-  std::vector<double> values;
-  if (path.extension() == ".npy") {
-    const NpyArray array = read_npy(path);
-    if (array.shape.size() != 2 || array.shape[1] != 3)
-      throw Error(path.string() + ": light positions must be an array of N x 3; correct it.");
-    values = array.doubles();
-  } else {
-    std::istringstream text(read_text(path, uint64_t{16} << 20));
-    std::string line;
-    for (int number = 1; std::getline(text, line); ++number) {
-      std::istringstream row(line.substr(0, line.find('#')));
-      std::vector<double> three;
-      for (double x = 0; row >> x;) three.push_back(x);
-      if (!row.eof() || (three.size() != 3 && !three.empty()))
-        throw Error(path.string() + ": line " + std::to_string(number) +
-                    " is not three numbers, the position of a light; correct it.");
-      values.insert(values.end(), three.begin(), three.end());
-    }
-  }
-  const size_t count = values.size() / 3;
-  if (count == 0)
-    throw Error(path.string() + ": it has no light positions; a stage needs at least one light.");
-  if (count > static_cast<size_t>(kMostLights))
-    throw Error(path.string() + ": it has more than " + std::to_string(kMostLights) +
-                " light positions.");
-  std::vector<Vec3d> out;
-  double mean = 0;
-  for (size_t i = 0; i < count; ++i) {
-    out.emplace_back(values[3 * i], values[3 * i + 1], values[3 * i + 2]);
-    if (!out.back().allFinite() || out.back().norm() < 1e-6)
-      throw Error(path.string() + ": light position " + std::to_string(i) +
-                  " is not finite or lies at the origin, the dome's centre; correct it.");
-    mean += out.back().norm() / static_cast<double>(count);
-  }
-  for (Vec3d& p : out) p = centre + radius / mean * p;
   return out;
 }
 
@@ -182,12 +166,38 @@ LightStage make_light_stage(const StageOptions& o) {
     for (const Vec3d& d : dome_directions(o.lights, floor, 1, 0))
       lamps.push_back(stage.centre + o.radius * d);
   } else {
-    lamps = read_light_positions(o.light_file, o.radius, stage.centre);
+    lamps = read_light_positions(o.light_file, o.radius, stage.centre, o.light_up);
   }
   const double intensity = 4 * kPi * o.radius * o.radius / static_cast<double>(lamps.size());
   for (const Vec3d& lamp : lamps)
     stage.lights.push_back({lamp.cast<float>(), Vec3f::Constant(static_cast<float>(intensity))});
   return stage;
+}
+
+void frame_cameras(std::span<const Vec3f> points, std::span<StageCamera> cameras) {
+  if (points.empty()) return;
+  for (StageCamera& stage_camera : cameras) {
+    Camera camera = stage_camera.camera;
+    const Vec3d eye = camera.center();
+    // Turning a camera moves the sides of a box differently; three turns settle it.
+    constexpr int kTurns = 3;
+    for (int turn = 0; turn <= kTurns; ++turn) {
+      ViewBox box;
+      if (!box.hold(points, camera)) break;
+      if (turn == kTurns) {
+        const Vec2d half = box.low.cwiseAbs().cwiseMax(box.high.cwiseAbs());
+        camera.fx = camera.fy = 0.5 * kFilled *
+                                std::min(camera.width / std::max(half.x(), 1e-3),
+                                         camera.height / std::max(half.y(), 1e-3));
+        stage_camera.camera = camera;
+        break;
+      }
+      const Vec2d middle = 0.5 * (box.low + box.high);
+      const Vec3d ahead =
+          camera.camera_from_world_rotation.transpose() * Vec3d(middle.x(), middle.y(), 1);
+      camera = look_at(eye, eye + ahead, 1, camera.width, camera.height);
+    }
+  }
 }
 
 std::vector<StageFrame> plan_stage_frames(const StageOptions& o, int lights) {
