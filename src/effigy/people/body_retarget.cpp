@@ -223,7 +223,8 @@ BodyMotion retarget_bvh(const Rig& rig, const RigShape& shape, const Bvh& bvh,
   motion.frames_per_second = frames_per_second;
   double floor = 1e300;
   for (int f = 0; f < frames; ++f) {
-    const int source = static_cast<int>((first + f / frames_per_second) / bvh.frame_seconds + 0.5);
+    const auto source =
+        static_cast<int>(std::lround((first + f / frames_per_second) / bvh.frame_seconds));
     if (source >= bvh.frames()) break;
     motion.poses.push_back(retargeter.at_frame(source));
     floor = std::min(floor, retargeter.foot_height(motion.poses.back()));

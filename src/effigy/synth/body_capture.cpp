@@ -85,7 +85,7 @@ Protocol make_protocol(const SynthBodyOptions& o) {
   p.stage = make_light_stage(o.stage);
   p.frames = plan_stage_frames(o.stage, static_cast<int>(p.stage.lights.size()));
   const auto add_environment = [&](const std::string& light) {
-    const Path path = environment_path(light);
+    Path path = environment_path(light);
     const auto [found, fresh] = p.environments.try_emplace(path.string(), light);
     if (fresh) p.images[path.string()] = synth_light(light);
     if (found->second != light)

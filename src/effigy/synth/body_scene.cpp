@@ -113,7 +113,8 @@ void BodyScene::add_motion(const std::vector<RigPose>& motion, int frames) {
     steps_.push_back(motion[s]);
     starts_.push_back(s == 0);
   }
-  for (int f = 0; f < frames; ++f) poses_.push_back(motion[static_cast<size_t>(f * substeps_)]);
+  for (int f = 0; f < frames; ++f)
+    poses_.push_back(motion[static_cast<size_t>(f) * static_cast<size_t>(substeps_)]);
 }
 
 std::vector<Vec3f> BodyScene::reach() const {
@@ -135,6 +136,7 @@ std::vector<Vec3f> BodyScene::reach() const {
     cells.swap(more);
   }
   std::vector<Vec3f> points;
+  points.reserve(cells.size());
   for (const std::array<int, 3>& cell : cells)
     points.push_back(kCell * Eigen::Map<const Vec3i>(cell.data()).cast<float>());
   return points;

@@ -56,7 +56,7 @@ Vec3d sphere_centre(const std::vector<Vec3d>& points) {
   const auto pivots = solver.matrixQR().diagonal().head<4>().cwiseAbs();
   if (!(pivots.minCoeff() > kFlattest * pivots.maxCoeff())) return Vec3d::Zero();
   const Eigen::Vector4d found = solver.solve(b);
-  const Vec3d centre = found.head<3>();
+  Vec3d centre = found.head<3>();
   const double radius = std::sqrt(found[3] + centre.squaredNorm());
   for (const Vec3d& p : points)
     if (!(std::abs((p - centre).norm() - radius) <= kRoughness * radius)) return Vec3d::Zero();

@@ -42,6 +42,7 @@ void check_options(const StageOptions& o) {
 // `count` of `all` numbers, evenly spread.
 std::vector<int> spread(int count, int all) {
   std::vector<int> out;
+  out.reserve(static_cast<size_t>(std::max(count, 0)));
   for (int k = 0; k < count; ++k)
     out.push_back(static_cast<int>((k + 0.5) * static_cast<double>(all) / count));
   return out;
@@ -54,7 +55,7 @@ int share_of(double share, int all) {
 std::vector<std::pair<int, float>> random_group(int lights, Random& random) {
   const int low = std::min(10, std::max(1, lights / 6));
   const int high = std::min(20, std::max(low, lights / 3));
-  const int size = low + static_cast<int>(random.below(static_cast<uint64_t>(high - low + 1)));
+  const int size = low + static_cast<int>(random.below(static_cast<uint64_t>(high - low) + 1));
   std::vector<int> order(static_cast<size_t>(lights));
   std::iota(order.begin(), order.end(), 0);
   for (int i = 0; i < size; ++i) {
@@ -64,6 +65,7 @@ std::vector<std::pair<int, float>> random_group(int lights, Random& random) {
   order.resize(static_cast<size_t>(size));
   std::sort(order.begin(), order.end());
   std::vector<std::pair<int, float>> group;
+  group.reserve(order.size());
   for (const int light : order)
     group.emplace_back(light, static_cast<float>(kGroupPower * lights / size));
   return group;
