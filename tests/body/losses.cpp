@@ -61,6 +61,8 @@ struct Scene {
     for (size_t p = 0; p < target.mask.size(); ++p) target.mask[p] = p % 24 > 8 ? 1.0f : 0.0f;
     target.background = Planes(24, 24, 3, 0.1f);
     settings.weights.alpha_sparsity = 0.3;
+    settings.perceptual = "vgg";
+    settings.weights.lpips = 2;
   }
 
   double total(const BodyLossValues& values) const {
@@ -68,6 +70,8 @@ struct Scene {
     const std::map<std::string, double> weights = {{"l1", w.l1},
                                                    {"dssim", w.dssim},
                                                    {"pyramid", w.pyramid},
+                                                   {"lpips", w.lpips},
+                                                   {"features", w.features},
                                                    {"mask", w.mask},
                                                    {"alpha_sparsity", w.alpha_sparsity},
                                                    {"scale", w.scale},
@@ -90,6 +94,19 @@ struct Result {
   std::vector<float> decoded;
 };
 
+// Stands for a network: mean of the squared differences of neighbouring pixels' differences.
+double edge_distance(const Planes& drawn, const Planes& target, float weight, Planes& d_drawn) {
+  double sum = 0;
+  const size_t count = drawn.data.size() - 1;
+  for (size_t i = 0; i < count; ++i) {
+    const float edge = drawn.data[i + 1] - drawn.data[i] - target.data[i + 1] + target.data[i];
+    sum += static_cast<double>(edge * edge) / static_cast<double>(count);
+    d_drawn.data[i + 1] += 2 * weight * edge / static_cast<float>(count);
+    d_drawn.data[i] -= 2 * weight * edge / static_cast<float>(count);
+  }
+  return sum;
+}
+
 Result run(const Scene& scene) {
   BodyPicture picture;
   BodyDrawOptions options;
@@ -100,7 +117,8 @@ Result run(const Scene& scene) {
   result.decoded.assign(n * GaussianChannels::kCount, 0.0f);
   std::vector<float> d_diffuse(3 * n);
   BodyLossValues values =
-      body_image_losses(scene.settings, scene.target, scene.colour, picture, result.image);
+      body_image_losses(scene.settings, scene.target, scene.colour, picture, result.image,
+                        scene.settings.perceptual == "none" ? PictureDistance() : edge_distance);
   values.merge(body_texel_losses(scene.settings, 0.7, scene.decoded, scene.surface,
                                  picture.diffuse(), result.decoded, result.surface, d_diffuse));
   picture.backward(scene.camera, scene.surface, scene.light, options,
@@ -198,6 +216,7 @@ TEST(BodyLosses, NoMaskLossAtTheEdge) {
   Scene scene;
   scene.settings.weights.l1 = scene.settings.weights.dssim = scene.settings.weights.pyramid = 0;
   scene.settings.weights.alpha_sparsity = 0;
+  scene.settings.perceptual = "none";
   const Result result = run(scene);
   for (size_t p = 0; p < 24 * 24; ++p) {
     const auto x = p % 24;

@@ -113,6 +113,12 @@ TEST(BodyCommands, BadInputIsOneSentence) {
   expect_sentence("render " + body() + " -o /tmp/x --exposure loud", "--exposure");
   expect_sentence("train " + capture() + " -o /tmp/x --set sice=tiny", "unknown setting 'sice'");
   expect_sentence("train " + capture() + " -o /tmp/x --size huge", "size");
+  expect_sentence("train " + capture() + " -o /tmp/x --perceptual loud", "--perceptual");
+  expect_sentence("train " + capture() + " -o /tmp/x --perceptual vgg --models " + capture(),
+                  "vgg16-*.pth");
+  expect_sentence("train " + capture() + " -o /tmp/x --set perceptual=squeezenet10 --models " +
+                      capture(),
+                  "squeezenet_v1.0_deep_compression.net");
   expect_sentence("train " + capture() + " -o /tmp/x --set appearance=glass", "appearance");
   expect_sentence("study body " + capture() + " -o /tmp/x --cell nothing", "nothing");
   const test::ScratchFolder out;

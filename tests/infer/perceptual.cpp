@@ -111,6 +111,80 @@ TEST_P(Lpips, IdentityAndSymmetry) {
 }
 INSTANTIATE_TEST_SUITE_P(Nets, Lpips, ::testing::Values("alex", "vgg", "squeeze"));
 
+Planes planes_of(const Image& image) {
+  Planes planes(image.width, image.height, 3);
+  for (size_t p = 0; p < planes.pixels(); ++p)
+    for (int c = 0; c < 3; ++c) planes.plane(c)[p] = image.data[3 * p + static_cast<size_t>(c)];
+  return planes;
+}
+
+// A loss is the metric, and its gradient what double-precision differences of the oracle say.
+void check_gradient(const PerceptualDistance& distance, const Image& a, const Image& b,
+                    const std::function<double(const Image&)>& oracle) {
+  constexpr float kWeight = 0.7f;
+  Planes gradient(a.width, a.height, 3, 1.0f);
+  const double value = distance.loss(planes_of(a), planes_of(b), kWeight, gradient);
+  EXPECT_EQ(value, distance.between(a, b));
+  // About the gradient's own direction, for the distance bends sharply where few channels are lit.
+  double size = 0;
+  for (const float d : gradient.data) size += static_cast<double>((d - 1) * (d - 1));
+  Random random(12);
+  const double step = 1e-3 / std::sqrt(size);
+  Image ends[2] = {a, a};
+  double along = 0;
+  for (size_t i = 0; i < a.data.size(); ++i) {
+    const double d = static_cast<double>(gradient.plane(static_cast<int>(i % 3))[i / 3] - 1);
+    const auto moved = static_cast<float>(step * d * random.uniform(0.0, 2.0));
+    ends[0].data[i] -= moved;
+    ends[1].data[i] += moved;
+    along += d * static_cast<double>(ends[1].data[i] - ends[0].data[i]);
+  }
+  const double measured = kWeight * (oracle(ends[1]) - oracle(ends[0]));
+  EXPECT_GT(along, 1e-5);
+  EXPECT_NEAR(measured, along, 0.01 * along);
+}
+
+TEST_P(Lpips, LossHasTheMetricsGradient) {
+  const std::string net = GetParam();
+  const NetFiles& files = files_of(net);
+  const PerceptualDistance lpips =
+      PerceptualDistance::lpips(net, files.backbone_path, files.heads_path);
+  const Image a = picture(37, 33, 1), b = picture(37, 33, 2);
+  const test::WeightsByName weights = by_name(files.backbone);
+  std::vector<std::vector<float>> heads;
+  for (const test::TorchEntry& head : files.heads) heads.push_back(head.values);
+  PerceptualOracle oracle(weights);
+  const auto features = [&](const Image& image) {
+    const Feature x = PerceptualOracle::lpips_input(image, false);
+    return net == "alex" ? oracle.alex(x) : (net == "vgg" ? oracle.vgg(x) : oracle.squeeze(x));
+  };
+  const std::vector<Feature> of_b = features(b);
+  check_gradient(lpips, a, b, [&](const Image& image) {
+    return PerceptualOracle::distance(features(image), of_b, heads);
+  });
+}
+
+TEST_P(Lpips, LossOfSmallAndOfBlackPictures) {
+  const std::string net = GetParam();
+  const NetFiles& files = files_of(net);
+  const PerceptualDistance lpips =
+      PerceptualDistance::lpips(net, files.backbone_path, files.heads_path);
+  // Continued in black: the same as a larger picture that is black there.
+  const Image a = picture(12, 40, 3), b = picture(12, 40, 4);
+  Image wide_a(32, 40, 3), wide_b(32, 40, 3);
+  for (int y = 0; y < 40; ++y)
+    for (int i = 0; i < 36; ++i) {
+      wide_a.at(0, y)[i] = a.at(0, y)[i];
+      wide_b.at(0, y)[i] = b.at(0, y)[i];
+    }
+  Planes gradient(12, 40, 3);
+  EXPECT_EQ(lpips.loss(planes_of(a), planes_of(b), 1, gradient), lpips.between(wide_a, wide_b));
+  Planes black(40, 40, 3), none(40, 40, 3);
+  EXPECT_EQ(lpips.loss(black, black, 1, none), 0);
+  EXPECT_GT(lpips.loss(black, planes_of(picture(40, 40, 5)), 1, none), 0);
+  for (const float d : none.data) ASSERT_TRUE(std::isfinite(d));
+}
+
 TEST(LpipsFiles, WrongOnesAreFoundOut) {
   const auto refusal = [](const std::string& net, const Path& backbone, const Path& heads) {
     return error_of([&] { PerceptualDistance::lpips(net, backbone, heads); });
@@ -172,6 +246,12 @@ TEST(FeatureSqueezenet10, IsTheFormulaOnTheDecodedFile) {
   EXPECT_NEAR(distance.between(a, b), expected, 2e-5 * expected);
   EXPECT_EQ(distance.between(a, a), 0);
   EXPECT_DOUBLE_EQ(distance.between(a, b), distance.between(b, a));
+  const Image small_a = picture(33, 32, 5), small_b = picture(33, 32, 6);
+  const std::vector<Feature> of_b = oracle.squeeze10(PerceptualOracle::caffe_input(small_b));
+  check_gradient(distance, small_a, small_b, [&](const Image& image) {
+    return PerceptualOracle::distance(oracle.squeeze10(PerceptualOracle::caffe_input(image)), of_b,
+                                      {});
+  });
 }
 
 TEST(DeepCompression, HostileFiles) {

@@ -115,7 +115,7 @@ void body_display(const BodyPicture& picture, const CameraColour& camera, const 
 
 BodyLossValues body_image_losses(const BodyTrainSettings& settings, const BodyTarget& target,
                                  const CameraColour& camera, const BodyPicture& picture,
-                                 BodyImageGradients& gradients) {
+                                 BodyImageGradients& gradients, const PictureDistance& perceptual) {
   const Planes& radiance = picture.radiance();
   const std::span<const float> alpha = picture.alpha();
   const int width = radiance.width, height = radiance.height;
@@ -139,6 +139,12 @@ BodyLossValues body_image_losses(const BodyTrainSettings& settings, const BodyTa
   if (w.pyramid > 0)
     values["pyramid"] = pyramid_loss(encoded, target.image, 3, kPyramidLevels,
                                      static_cast<float>(w.pyramid), &d_encoded);
+
+  if (perceptual) {
+    const bool features = settings.perceptual == "squeezenet10";
+    values[features ? "features" : "lpips"] = perceptual(
+        encoded, target.image, static_cast<float>(features ? w.features : w.lpips), d_encoded);
+  }
 
   gradients.radiance = Planes(width, height, 3);
   gradients.alpha.assign(pixels, 0.0f);

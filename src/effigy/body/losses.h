@@ -3,6 +3,7 @@
 #pragma once
 
 #include <array>
+#include <functional>
 #include <map>
 #include <string>
 #include <vector>
@@ -35,11 +36,18 @@ struct BodyImageGradients {
   std::array<double, 3> gain{}, offset{};
 };
 
-// Losses on the picture: l1, dssim, pyramid (display-encoded, over the target's background), mask
-// and alpha_sparsity (both without the border of the mask). Writes `gradients`.
+// How different a network finds two pictures of 3 planes, display-encoded; adds `weight` times the
+// derivative by `drawn` to d_drawn (PerceptualDistance::loss, which needs libtorch).
+using PictureDistance =
+    std::function<double(const Planes& drawn, const Planes& target, float weight, Planes& d_drawn)>;
+
+// Losses on the picture: l1, dssim, pyramid, lpips or features (display-encoded, over the target's
+// background), mask and alpha_sparsity (both without the border of the mask). Writes `gradients`.
+// `perceptual`: the network that settings.perceptual names; empty for none.
 BodyLossValues body_image_losses(const BodyTrainSettings& settings, const BodyTarget& target,
                                  const CameraColour& camera, const BodyPicture& picture,
-                                 BodyImageGradients& gradients);
+                                 BodyImageGradients& gradients,
+                                 const PictureDistance& perceptual = {});
 // The picture as display-encoded image over the target's background: what the losses compare.
 void body_display(const BodyPicture& picture, const CameraColour& camera, const BodyTarget& target,
                   Planes& encoded);

@@ -3,6 +3,7 @@
 
 #include <string>
 
+#include "effigy/body/losses.h"
 #include "effigy/body/train_settings.h"
 #include "effigy/capture/stage_capture.h"
 
@@ -10,7 +11,8 @@ namespace effigy {
 
 struct BodyTrainOptions {
   bool resume = false;
-  std::string consent;  // overrides the capture's statement when not empty
+  std::string consent;         // overrides the capture's statement when not empty
+  PictureDistance perceptual;  // the network that settings.perceptual names
 };
 
 // Trains (or resumes), with checkpoints in OUT/checkpoint.safetensors, and writes the avatar folder

@@ -20,6 +20,8 @@ constexpr auto kList = [](auto& s, auto&& visit) {
   visit("weight.l1", s.weights.l1);
   visit("weight.dssim", s.weights.dssim);
   visit("weight.pyramid", s.weights.pyramid);
+  visit("weight.lpips", s.weights.lpips);
+  visit("weight.features", s.weights.features);
   visit("weight.scale", s.weights.scale);
   visit("weight.offset", s.weights.offset);
   visit("weight.mask", s.weights.mask);
@@ -46,6 +48,7 @@ constexpr auto kList = [](auto& s, auto&& visit) {
   visit("compensate", s.compensate);
   visit("divide_by_alpha", s.divide_by_alpha);
   visit("sg_norm", s.sg_norm);
+  visit("perceptual", s.perceptual);
   visit("deferred", s.deferred);
   visit("shadow", s.shadow);
   visit("appearance", s.appearance);
@@ -83,6 +86,9 @@ void check(const BodyTrainSettings& s, const std::string& name) {
   require(s.mask_border >= 0 && s.mask_border <= 64, "mask_border must be 0 to 64");
   require(s.sg_norm == "code" || s.sg_norm == "pi32" || s.sg_norm == "unit",
           "sg_norm must be code, pi32 or unit");
+  require(s.perceptual == "none" || s.perceptual == "vgg" || s.perceptual == "alex" ||
+              s.perceptual == "squeeze" || s.perceptual == "squeezenet10",
+          "perceptual must be none, vgg, alex, squeeze or squeezenet10");
   require(s.appearance == "zonal" || s.appearance == "sh" || s.appearance == "pbr",
           "appearance must be zonal, sh or pbr");
   require(s.appearance != "pbr" || s.deferred, "appearance pbr is deferred; leave deferred true");

@@ -20,6 +20,9 @@ struct BodyRates {
 struct BodyWeights {
   double l1 = 1, dssim = 0.2;
   double pyramid = 0.5;  // L1 over the bands of a Laplacian pyramid; not in the paper
+  // The perceptual term, when there is one: of LPIPS (Eq. 17), or of SqueezeNet's features, whose
+  // distances are about ten times as large.
+  double lpips = 0.1, features = 0.01;
   double scale = 1;      // mean |s|, metres
   double offset = 0.05;  // mean |delta t|^2, centimetres squared
   double mask = 0.1;
@@ -56,16 +59,19 @@ struct BodyTrainSettings {
   bool compensate = true;              // small Gaussians' opacity for the blur (splat/)
   bool divide_by_alpha = true;         // blended channels before they are used (body/draw.h)
   std::string sg_norm = "code";        // code, pi32, unit (light/spherical_gaussian.h)
-  bool deferred = true;                // specular light per pixel; else per Gaussian
-  bool shadow = true;                  // the shadow network
-  std::string appearance = "zonal";    // or the paper's baselines "sh" and "pbr" (body/draw.h)
-  std::string normals = "gaussian";    // of specular light: "gaussian" (Eq. 10) or "mesh"
-  int shadow_samples = 16;             // rays a texel for irradiance
-  int environment_from = 65;           // lights from which a frame counts as lit by an environment
-  bool falloff = true;                 // light falls with the distance's square
-  bool camera_gains = true;            // a gain and an offset per camera, the first one fixed
-  bool start_from_frames = true;       // albedo from the frames' colours; else 0.5
-  int evaluate_every = 1000;           // held-out PSNR in the progress line; 0: never
+  // Network of the perceptual term: "none", LPIPS by "vgg", "alex" or "squeeze", or "squeezenet10"
+  // (infer/perceptual.h).
+  std::string perceptual = "none";
+  bool deferred = true;              // specular light per pixel; else per Gaussian
+  bool shadow = true;                // the shadow network
+  std::string appearance = "zonal";  // or the paper's baselines "sh" and "pbr" (body/draw.h)
+  std::string normals = "gaussian";  // of specular light: "gaussian" (Eq. 10) or "mesh"
+  int shadow_samples = 16;           // rays a texel for irradiance
+  int environment_from = 65;         // lights from which a frame counts as lit by an environment
+  bool falloff = true;               // light falls with the distance's square
+  bool camera_gains = true;          // a gain and an offset per camera, the first one fixed
+  bool start_from_frames = true;     // albedo from the frames' colours; else 0.5
+  int evaluate_every = 1000;         // held-out PSNR in the progress line; 0: never
   int checkpoint_every = 500;
   uint64_t seed = 1;
 

@@ -64,13 +64,15 @@ BodyDrawOptions draw_options(const BodyTrainSettings& settings) {
   return options;
 }
 
-BodyTrainer::State::State(const StageCapture& capture_in, const BodyTrainSettings& settings_in)
+BodyTrainer::State::State(const StageCapture& capture_in, const BodyTrainSettings& settings_in,
+                          PictureDistance perceptual_in)
     : capture(capture_in),
       source(capture_in),
       settings(settings_in),
       model(capture_in.rig.mesh, network_settings(capture_in, settings_in), settings_in.seed),
       moments(source, model.shadow_texels(), settings_in),
       options(draw_options(settings_in)),
+      perceptual(std::move(perceptual_in)),
       frames(capture_in.frames_of(StageSplit::kTrain)),
       cameras(capture_in.train_cameras()),
       colours(capture_in.cameras.size()) {
@@ -78,6 +80,9 @@ BodyTrainer::State::State(const StageCapture& capture_in, const BodyTrainSetting
     throw Error(capture.folder.string() +
                 ": the capture has no training frames or no training cameras; mark some in "
                 "capture.json.");
+  if ((settings.perceptual != "none") != static_cast<bool>(perceptual))
+    throw Error("The perceptual term '" + settings.perceptual +
+                "' needs its network; name it by --perceptual, which finds the file.");
   prepare_model();
   scale_keypoints(source, model.networks());
   if (settings.shadow) model.networks().set_mean_irradiance(moments.mean_irradiance(frames));
@@ -121,6 +126,8 @@ double BodyTrainer::State::total(const BodyLossValues& values) const {
   const std::map<std::string, double> weights = {{"l1", w.l1},
                                                  {"dssim", w.dssim},
                                                  {"pyramid", w.pyramid},
+                                                 {"lpips", w.lpips},
+                                                 {"features", w.features},
                                                  {"mask", w.mask},
                                                  {"alpha_sparsity", w.alpha_sparsity},
                                                  {"scale", w.scale},
@@ -152,7 +159,7 @@ void BodyTrainer::State::draw_view(BodyLossValues& mean) {
   picture.draw(view.view, surface, *light, options);
 
   const CameraColour& colour = colours[static_cast<size_t>(camera)];
-  BodyLossValues values = body_image_losses(settings, target, colour, picture, d_image);
+  BodyLossValues values = body_image_losses(settings, target, colour, picture, d_image, perceptual);
   const size_t n = surface.count();
   d_surface.clear(n, transfer_coefficients(options.appearance));
   d_decoded.assign(model.decoded().size(), 0.0f);
@@ -265,8 +272,9 @@ BodyLossValues BodyTrainer::State::step() {
   return mean;
 }
 
-BodyTrainer::BodyTrainer(const StageCapture& capture, const BodyTrainSettings& settings)
-    : state_(std::make_unique<State>(capture, settings)) {}
+BodyTrainer::BodyTrainer(const StageCapture& capture, const BodyTrainSettings& settings,
+                         PictureDistance perceptual)
+    : state_(std::make_unique<State>(capture, settings, std::move(perceptual))) {}
 BodyTrainer::~BodyTrainer() = default;
 
 int64_t BodyTrainer::iteration() const {

@@ -22,8 +22,10 @@ BodyDrawOptions draw_options(const BodyTrainSettings& settings);
 
 class BodyTrainer {
  public:
-  // Keeps a reference to `capture`. Throws Error when the capture has nothing to train on.
-  BodyTrainer(const StageCapture& capture, const BodyTrainSettings& settings);
+  // Keeps a reference to `capture`. `perceptual`: the network that settings.perceptual names.
+  // Throws Error when the capture has nothing to train on, or the network is not given.
+  BodyTrainer(const StageCapture& capture, const BodyTrainSettings& settings,
+              PictureDistance perceptual = {});
   ~BodyTrainer();
 
   int64_t iteration() const;

@@ -13,7 +13,8 @@
 namespace effigy {
 
 struct BodyTrainer::State {
-  State(const StageCapture& capture_in, const BodyTrainSettings& settings_in);
+  State(const StageCapture& capture_in, const BodyTrainSettings& settings_in,
+        PictureDistance perceptual_in);
 
   const StageCapture& capture;
   StageSource source;
@@ -21,6 +22,7 @@ struct BodyTrainer::State {
   BodyModel model;
   StageMoments moments;
   BodyDrawOptions options;
+  PictureDistance perceptual;
   std::vector<int> frames, cameras;  // of training
   std::vector<CameraColour> colours;
 

@@ -96,6 +96,28 @@ void find_lpips(const std::vector<Path>& places, const PerceptualOptions& option
 
 }  // namespace
 
+std::string training_network(const std::string& name, const std::string& models) {
+  if (name == "none") return name;
+  PerceptualOptions options;
+  options.models = models;
+  if (name == "squeezenet10") {
+    if (find_perceptual(options).squeezenet10.empty())
+      throw Error(
+          "--perceptual squeezenet10: squeezenet_v1.0_deep_compression.net cannot be found; "
+          "put it into the folder of --models or $EFFIGY_DATA/perceptual "
+          "(docs/evaluation.md says where it comes from).");
+    return name;
+  }
+  if (name != "auto" && std::none_of(std::begin(kNets), std::end(kNets),
+                                     [&](const Net& net) { return name == net.name; }))
+    throw Error("--perceptual must be auto, vgg, alex, squeeze, squeezenet10 or none, not '" +
+                name + "'.");
+  options.lpips = name;
+  const PerceptualFiles files = find_perceptual(options);
+  if (!files.net.empty()) return files.net;
+  return files.squeezenet10.empty() ? "none" : "squeezenet10";
+}
+
 PerceptualFiles find_perceptual(const PerceptualOptions& options) {
   if (options.lpips == "auto" && (!options.backbone.empty() || !options.heads.empty()))
     throw Error("--lpips-backbone and --lpips-heads need --lpips alex, vgg or squeeze.");

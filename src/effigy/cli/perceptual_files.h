@@ -30,4 +30,10 @@ struct PerceptualFiles {
 // then squeeze. Throws Error when a net was asked for by name and a file of it is missing.
 PerceptualFiles find_perceptual(const PerceptualOptions& options);
 
+// The network of a training's perceptual term that `name` asks for, as a value of the setting
+// `perceptual` (docs/body-training.md): none, vgg, alex, squeeze or squeezenet10 as they are; auto
+// becomes the LPIPS net that has its files in `models` (a folder as above), else squeezenet10, else
+// none. Throws Error when a file of the network named is missing, or the name is none of these.
+std::string training_network(const std::string& name, const std::string& models);
+
 }  // namespace effigy

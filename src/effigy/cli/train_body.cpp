@@ -4,6 +4,8 @@
 #include "effigy/body/train_run.h"
 #include "effigy/cli/command_line.h"
 #include "effigy/cli/commands.h"
+#include "effigy/cli/perceptual_files.h"
+#include "effigy/cli/training_distance.h"
 
 namespace effigy {
 
@@ -15,6 +17,7 @@ int run_train_body(int argc, char** argv) {
       "example: effigy train stage-capture -o body --preset quick",
       "train");
   std::string capture_path, output, preset = "standard", settings_file, size;
+  std::string perceptual, models;
   std::vector<std::string> assignments;
   bool paper_literal = false;
   int iterations = 0, batch = 0, crop = 0;
@@ -31,6 +34,11 @@ int run_train_body(int argc, char** argv) {
   app.add_option("--crop", crop, "Train on random squares of so many pixels");
   app.add_option("--settings", settings_file, "JSON file of settings (docs/body-training.md)");
   app.add_option("--set", assignments, "name=value of one setting; repeatable");
+  app.add_option("--perceptual", perceptual,
+                 "Network of a perceptual loss: vgg, alex or squeeze (LPIPS), squeezenet10, none "
+                 "(default), or auto: the first that has its files (docs/body-training.md)");
+  app.add_option("--models", models,
+                 "Folder with the weights of --perceptual (default: $EFFIGY_DATA/perceptual)");
   app.add_flag("--resume", options.resume, "Go on from AVATAR's checkpoint");
   app.add_option("--consent", options.consent,
                  "What the person agreed to; recorded in avatar.json (default: the capture's)");
@@ -42,12 +50,18 @@ int run_train_body(int argc, char** argv) {
   settings.seed = common.seed;
   if (!settings_file.empty()) from_json_checked(read_json(settings_file), settings_file, settings);
   Json overrides = parse_assignments(assignments);
+  if (perceptual.empty() && paper_literal) perceptual = "auto";
+  if (!perceptual.empty()) overrides["perceptual"] = training_network(perceptual, models);
+  // The paper has LPIPS where we have SSIM.
+  if (paper_literal && overrides["perceptual"] != "none" && !overrides.contains("weight.dssim"))
+    overrides["weight.dssim"] = 0.0;
   if (!size.empty()) overrides["size"] = size;
   if (iterations != 0) overrides["iterations"] = iterations;
   if (batch != 0) overrides["batch"] = batch;
   if (crop != 0) overrides["crop"] = crop;
   from_json_checked(overrides, "command line", settings);
 
+  options.perceptual = training_distance(settings.perceptual, models);
   const StageCapture capture = read_stage_capture(capture_path);
   const Json result = train_body(capture, settings, output, options);
   if (common.json) print_json(result);

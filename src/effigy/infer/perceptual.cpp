@@ -3,6 +3,7 @@
 #include <ATen/ops/empty.h>
 #include <c10/core/InferenceMode.h>
 #include <c10/util/Exception.h>
+#include <torch/csrc/autograd/autograd.h>
 
 #include <algorithm>
 #include <cmath>
@@ -18,6 +19,7 @@ namespace {
 constexpr double kNormGuard = 1e-10;
 // LPIPS' scaling layer, for red, green and blue in [-1, 1].
 constexpr double kShift[3] = {-0.030, -0.088, -0.188}, kScale[3] = {0.458, 0.448, 0.450};
+constexpr int kLeastSide = 32;  // of pictures in a loss; every network takes it
 // Caffe's mean picture, for blue, green and red in [0, 255].
 constexpr double kCaffeMean[3] = {104, 117, 123};
 
@@ -52,33 +54,75 @@ at::Tensor network_input(const Image& image, const InputMap& map) {
   return x;
 }
 
-// mean over pixels of sum_c w_c (n(a)_c - n(b)_c)^2; no weights: all are 1.
-double tap_distance(const at::Tensor& a, const at::Tensor& b, const std::vector<float>& weights) {
+// 1 / (|f| + guard) of every pixel.
+std::vector<double> inverse_norms(const at::Tensor& f) {
+  const auto channels = static_cast<size_t>(f.size(1));
+  const auto pixels = static_cast<size_t>(f.size(2) * f.size(3));
+  const float* p = f.data_ptr<float>();
+  std::vector<double> inverse(pixels, 0.0);
+  for (size_t c = 0; c < channels; ++c)
+    for (size_t i = 0; i < pixels; ++i) {
+      const double v = static_cast<double>(p[c * pixels + i]);
+      inverse[i] += v * v;
+    }
+  for (double& value : inverse) value = 1 / (std::sqrt(value) + kNormGuard);
+  return inverse;
+}
+
+// mean over pixels of sum_c w_c (n(a)_c - n(b)_c)^2; no weights: all are 1. `d_a`, when not null,
+// becomes `share` times the derivative by a; 0 where a is 0, as that of the ReLU before it.
+double tap_distance(const at::Tensor& a, const at::Tensor& b, const std::vector<float>& weights,
+                    double share, at::Tensor* d_a) {
   const auto channels = static_cast<size_t>(a.size(1));
   const auto pixels = static_cast<size_t>(a.size(2) * a.size(3));
   const float* pa = a.data_ptr<float>();
   const float* pb = b.data_ptr<float>();
-  std::vector<double> scale_a(pixels, 0.0), scale_b(pixels, 0.0), sum(pixels, 0.0);
-  for (size_t c = 0; c < channels; ++c)
-    for (size_t i = 0; i < pixels; ++i) {
-      const double va = pa[c * pixels + i], vb = pb[c * pixels + i];
-      scale_a[i] += va * va;
-      scale_b[i] += vb * vb;
-    }
-  for (size_t i = 0; i < pixels; ++i) {
-    scale_a[i] = 1 / (std::sqrt(scale_a[i]) + kNormGuard);
-    scale_b[i] = 1 / (std::sqrt(scale_b[i]) + kNormGuard);
-  }
+  const std::vector<double> scale_a = inverse_norms(a), scale_b = inverse_norms(b);
+  std::vector<double> sum(pixels, 0.0);
+  // sum_c of the derivative by n(a)_c times n(a)_c: what a's length takes away again.
+  std::vector<double> along(d_a != nullptr ? pixels : 0, 0.0);
+  const double each = 2 * share / static_cast<double>(pixels);
+  const auto weight_of = [&](size_t c) {
+    return weights.empty() ? 1.0 : static_cast<double>(weights[c]);
+  };
   for (size_t c = 0; c < channels; ++c) {
-    const double weight = weights.empty() ? 1.0 : static_cast<double>(weights[c]);
+    const double weight = weight_of(c);
     for (size_t i = 0; i < pixels; ++i) {
-      const double difference = pa[c * pixels + i] * scale_a[i] - pb[c * pixels + i] * scale_b[i];
+      const double unit = static_cast<double>(pa[c * pixels + i]) * scale_a[i];
+      const double difference = unit - static_cast<double>(pb[c * pixels + i]) * scale_b[i];
       sum[i] += weight * difference * difference;
+      if (d_a != nullptr) along[i] += each * weight * difference * unit;
+    }
+  }
+  if (d_a != nullptr) {
+    *d_a = at::empty(a.sizes(), at::kFloat);
+    float* out = d_a->data_ptr<float>();
+    for (size_t c = 0; c < channels; ++c) {
+      const double weight = each * weight_of(c);
+      for (size_t i = 0; i < pixels; ++i) {
+        const double length = 1 / scale_a[i] - kNormGuard, value = pa[c * pixels + i];
+        const double difference = value * scale_a[i] - pb[c * pixels + i] * scale_b[i];
+        out[c * pixels + i] =
+            length > 0
+                ? static_cast<float>(scale_a[i] * (weight * difference - along[i] * value / length))
+                : 0.0f;
+      }
     }
   }
   double total = 0;
   for (const double value : sum) total += value;
   return total / static_cast<double>(pixels);
+}
+
+// Black to the right and below, up to the least side.
+Image continued(const Planes& planes) {
+  const Image image = to_image(planes);
+  const int width = std::max(image.width, kLeastSide), height = std::max(image.height, kLeastSide);
+  if (width == image.width && height == image.height) return image;
+  Image out(width, height, image.channels);
+  for (int y = 0; y < image.height; ++y)
+    std::copy_n(image.at(0, y), static_cast<size_t>(image.width) * image.channels, out.at(0, y));
+  return out;
 }
 
 // One row of non-negative weights for each tap.
@@ -115,24 +159,42 @@ struct PerceptualDistance::State {
   std::vector<std::vector<float>> heads;  // empty: no learned weights
   InputMap input, unit_input;
 
-  double between(const Image& a, const Image& b, const InputMap& map) const {
+  const std::vector<float>& head(size_t tap) const {
+    static const std::vector<float> kNone;
+    return heads.empty() ? kNone : heads[tap];
+  }
+
+  // The distance and, when `d_a` is not null, `weight` times its derivative by the network's input
+  // for a.
+  double between(const Image& a, const Image& b, const InputMap& map, double weight,
+                 at::Tensor* d_a) const {
     EFFIGY_CHECK(a.channels == 3 && b.channels == 3);
     EFFIGY_CHECK_EQ(a.width, b.width);
     EFFIGY_CHECK_EQ(a.height, b.height);
     try {
       // The two pictures at once: with two threads libtorch needs none of its own.
-      const Image* images[2] = {&a, &b};
-      std::vector<at::Tensor> taps[2];
+      at::Tensor x_of_a;
+      std::vector<at::Tensor> of_a, of_b;
       parallel_for(2, 1, [&](size_t begin, size_t end, int) {
-        const c10::InferenceMode guard;
         use_torch_threads(std::max(1, thread_count() / 2));
-        for (size_t i = begin; i < end; ++i)
-          taps[i] = backbone.features(network_input(*images[i], map));
+        for (size_t i = begin; i < end; ++i) {
+          const bool differentiate = i == 0 && d_a != nullptr;
+          const c10::InferenceMode guard(!differentiate);
+          const at::Tensor x = network_input(i == 0 ? a : b, map);
+          if (differentiate) x_of_a = x.requires_grad_(true);
+          (i == 0 ? of_a : of_b) = backbone.features(x);
+        }
       });
       double sum = 0;
-      for (size_t tap = 0; tap < taps[0].size(); ++tap)
-        sum += tap_distance(taps[0][tap], taps[1][tap],
-                            heads.empty() ? std::vector<float>() : heads[tap]);
+      std::vector<at::Tensor> d_taps(of_a.size());
+      for (size_t tap = 0; tap < of_a.size(); ++tap)
+        sum += tap_distance(of_a[tap], of_b[tap], head(tap), weight,
+                            d_a != nullptr ? &d_taps[tap] : nullptr);
+      if (d_a != nullptr) {
+        use_torch_threads(thread_count());
+        torch::autograd::backward(of_a, d_taps);
+        *d_a = x_of_a.grad().contiguous();
+      }
       return sum;
     } catch (const c10::Error& problem) {
       throw Error(backbone.name + " failed (" + problem.what_without_backtrace() + ").",
@@ -147,7 +209,6 @@ PerceptualDistance::~PerceptualDistance() = default;
 
 PerceptualDistance PerceptualDistance::lpips(const std::string& net, const Path& backbone,
                                              const Path& heads) {
-  const c10::InferenceMode guard;
   auto state = std::make_unique<State>();
   state->backbone = read_backbone(net, TorchFile(backbone));
   state->heads = read_heads(TorchFile(heads), net, state->backbone.tap_channels());
@@ -157,7 +218,6 @@ PerceptualDistance PerceptualDistance::lpips(const std::string& net, const Path&
 }
 
 PerceptualDistance PerceptualDistance::squeezenet10(const Path& file) {
-  const c10::InferenceMode guard;
   auto state = std::make_unique<State>();
   state->backbone = read_squeezenet10(file);
   state->input = state->unit_input = caffe_input();
@@ -165,11 +225,30 @@ PerceptualDistance PerceptualDistance::squeezenet10(const Path& file) {
 }
 
 double PerceptualDistance::between(const Image& a, const Image& b) const {
-  return state_->between(a, b, state_->input);
+  return state_->between(a, b, state_->input, 0, nullptr);
 }
 double PerceptualDistance::between_unit_range(const Image& a, const Image& b) const {
   EFFIGY_CHECK(!state_->heads.empty());
-  return state_->between(a, b, state_->unit_input);
+  return state_->between(a, b, state_->unit_input, 0, nullptr);
+}
+
+double PerceptualDistance::loss(const Planes& drawn, const Planes& target, float weight,
+                                Planes& d_drawn) const {
+  EFFIGY_CHECK(d_drawn.width == drawn.width && d_drawn.height == drawn.height);
+  EFFIGY_CHECK(drawn.count == 3 && target.count == 3 && d_drawn.count >= 3);
+  const Image a = continued(drawn);
+  at::Tensor d_input;
+  const double value =
+      state_->between(a, continued(target), state_->input, static_cast<double>(weight), &d_input);
+  const float* d = d_input.data_ptr<float>();
+  for (int c = 0; c < 3; ++c) {
+    const auto gain = static_cast<float>(state_->input.gain[c]);
+    float* out = d_drawn.plane(state_->input.source[c]);
+    for (int y = 0; y < drawn.height; ++y)
+      for (int x = 0; x < drawn.width; ++x)
+        out[y * drawn.width + x] += gain * d[(c * a.height + y) * a.width + x];
+  }
+  return value;
 }
 
 }  // namespace effigy

@@ -42,6 +42,10 @@ class PerceptualDistance {
   // slip of much of the literature (GTAvatar's and HRAvatar's published figures among them), for
   // comparison with it.
   double between_unit_range(const Image& a, const Image& b) const;
+  // The same distance as a loss: between() of two pictures of 3 planes, whose values may leave
+  // [0, 1]; adds `weight` times its derivative by `drawn` to `d_drawn`. Pictures with a side below
+  // 32 pixels are continued in black. The same input and thread count give the same bits.
+  double loss(const Planes& drawn, const Planes& target, float weight, Planes& d_drawn) const;
 
  private:
   struct State;
