@@ -7,6 +7,8 @@
 
 #include "effigy/base/random.h"
 #include "effigy/base/threads.h"
+#include "effigy/body/turned_harmonics.h"
+#include "effigy/light/builtin_lights.h"
 #include "support.h"
 #include "tiny_capture.h"
 
@@ -154,19 +156,37 @@ void keep_unit(const std::vector<float>& normal, std::vector<float>& direction) 
   }
 }
 
+std::vector<float> radiance_of(const Ball& ball, const BodyLight& light,
+                               const BodyDrawOptions& options) {
+  BodyPicture picture;
+  picture.draw(front_camera(40), ball.surface, light, options);
+  return picture.radiance().data;
+}
+
+// A shadow for each part of the light, the first as it was.
+void shadow_parts(BodySurface& surface, size_t parts) {
+  Random random(8, 4);
+  const size_t n = surface.count();
+  surface.shadow.resize(n * parts);
+  for (size_t i = n; i < surface.shadow.size(); ++i)
+    surface.shadow[i] = static_cast<float>(0.4 + 0.6 * random.uniform());
+}
+
 // Far enough for the pixels' depths, which have no gradient, not to matter.
 constexpr float kFar = 300.0f;
 
 // The derivative along random directions against central differences.
 void check_gradients(const BodyLight& light, const BodyDrawOptions& options, float orient,
                      const std::set<std::string>& unused = {}) {
-  const Ball ball = fog(options.appearance);
+  Ball ball = fog(options.appearance);
+  shadow_parts(ball.surface, light.parts().size());
   const Camera camera = front_camera(40);
   const SmoothLoss loss(camera, ball.texels.count(), orient);
   BodyPicture picture;
   picture.draw(camera, ball.surface, light, options);
   BodySurfaceGradients gradients;
-  gradients.clear(ball.texels.count(), transfer_coefficients(options.appearance));
+  gradients.clear(ball.texels.count(), transfer_coefficients(options.appearance),
+                  light.parts().size());
   picture.backward(camera, ball.surface, light, options, loss.gradients(), gradients);
   for (const Group& group : groups()) {
     if (unused.count(group.name) != 0) continue;
@@ -218,6 +238,21 @@ TEST(BodyDraw, GradientsOfThePapersProducts) {
   check_gradients(body_light(two_lamps(kFar)), options, 0.0f);
 }
 
+TEST(BodyDraw, GradientsWithShadowsOfGroups) {
+  check_gradients(body_light_groups(two_lamps(kFar), 2), {}, 5.0f);
+  BodyDrawOptions options;
+  options.deferred = false;
+  check_gradients(body_light_groups(two_lamps(kFar), 2), options, 0.0f);
+  options = {};
+  options.appearance = BodyAppearance::kHarmonics;
+  options.divide_by_alpha = false;
+  check_gradients(body_light_groups(two_lamps(kFar), 2), options, 0.0f, {"axes"});
+  options = {};
+  options.appearance = BodyAppearance::kPbr;
+  check_gradients(body_light_groups(two_lamps(kFar), 2), options, 1.0f,
+                  {"axes", "zonal", "visibility"});
+}
+
 TEST(BodyDraw, GradientsWithoutDeferredShading) {
   BodyDrawOptions options;
   options.deferred = false;
@@ -228,6 +263,85 @@ TEST(BodyDraw, GradientsOfSphericalHarmonics) {
   BodyDrawOptions options;
   options.appearance = BodyAppearance::kHarmonics;
   check_gradients(body_light(two_lamps(kFar)), options, 0.0f, {"axes"});
+}
+
+TEST(BodyDraw, GradientsOfTurnedHarmonics) {
+  BodyDrawOptions options;
+  options.appearance = BodyAppearance::kTurnedHarmonics;
+  // Of centres: the next test; here colours are so strong that differences of single precision
+  // drown.
+  check_gradients(body_light(two_lamps(kFar)), options, 0.0f, {"center"});
+  check_gradients(body_light(gradient_sky()), options, 0.0f, {"center"});
+}
+
+// Where lamps are near, light changes with the place too.
+TEST(BodyDraw, TurnedHarmonicsFollowTheLight) {
+  const Ball ball(0.15, 12, 14 + kHarmonicCoefficients);
+  const size_t n = ball.surface.count();
+  const PointLights lamps = two_lamps();
+  std::vector<float> position(3 * n), d_colour(3 * n, 1.0f), colour(3 * n);
+  for (size_t i = 0; i < n; ++i)
+    for (size_t c = 0; c < 3; ++c) position[c * n + i] = ball.surface.placed.center[3 * i + c];
+  const UvGaussians& placed = ball.surface.placed;
+  const auto sum = [&](const std::vector<float>& where) {
+    shade_turned_harmonics(lamps, {n, placed.axes, where, placed.zonal}, colour);
+    double total = 0;
+    for (const float value : colour) total += static_cast<double>(value);
+    return total;
+  };
+  std::vector<float> d_axes(9 * n), d_position(3 * n), d_transfer(placed.zonal.size());
+  shade_turned_harmonics_backward(lamps, {n, placed.axes, position, placed.zonal}, d_colour,
+                                  {d_axes, d_position, d_transfer});
+  for (size_t c = 0; c < 3; ++c) {
+    std::vector<float> up = position, down = position;
+    double along = 0, size = 0;
+    for (size_t i = 0; i < n; ++i) {
+      up[c * n + i] += 1e-2f;
+      down[c * n + i] -= 1e-2f;
+      along += static_cast<double>(d_position[c * n + i]);
+      size += std::abs(static_cast<double>(d_position[c * n + i]));
+    }
+    EXPECT_NEAR((sum(up) - sum(down)) / 2e-2, along, 2e-3 * size + 1e-3);
+  }
+}
+
+// Lobes on the axes are some of all functions: with their harmonics the same picture.
+TEST(BodyDraw, TurnedHarmonicsHoldTheLobes) {
+  const Ball zonal;
+  const size_t n = zonal.surface.count();
+  Ball turned = zonal;
+  turned.surface.placed.zonal.assign(kHarmonicCoefficients * n, 0.0f);
+  for (size_t i = 0; i < n; ++i)
+    for (size_t axis = 0; axis < 3; ++axis) {
+      const double own[3] = {axis == 0 ? 1.0 : 0.0, axis == 1 ? 1.0 : 0.0, axis == 2 ? 1.0 : 0.0};
+      for (size_t c = 0; c < 3; ++c) {
+        double z[kZonalBands], sh[kHarmonics];
+        for (size_t l = 0; l < kZonalBands; ++l)
+          z[l] = static_cast<double>(zonal.surface.placed.zonal[zonal_index(axis, l, c) * n + i]);
+        zonal_to_sh(z, own, sh);
+        for (size_t k = 0; k < (c == 0 ? kHarmonics : kColouredHarmonics); ++k)
+          turned.surface.placed.zonal[harmonic_index(k, c) * n + i] += static_cast<float>(sh[k]);
+      }
+    }
+  BodyDrawOptions options;
+  options.appearance = BodyAppearance::kTurnedHarmonics;
+  for (const BodyLight& light : {body_light(two_lamps()), body_light(gradient_sky())}) {
+    const std::vector<float> a = radiance_of(zonal, light, {});
+    const std::vector<float> b = radiance_of(turned, light, options);
+    for (size_t i = 0; i < a.size(); ++i) ASSERT_NEAR(a[i], b[i], 5e-5f);
+  }
+}
+
+// A sun over a table of bands and over polynomials.
+TEST(BodyDraw, BandTableIsTheSameLight) {
+  const Ball ball;
+  const Cubemap sky = cubemap_from_equirectangular(builtin_light("sunset"), 16);
+  const std::vector<float> looked_up = radiance_of(ball, body_light(sky, true), {});
+  const std::vector<float> found = radiance_of(ball, body_light(sky), {});
+  EXPECT_NE(looked_up, found);
+  float most = 0;
+  for (const float value : found) most = std::max(most, value);
+  for (size_t i = 0; i < found.size(); ++i) ASSERT_NEAR(looked_up[i], found[i], 2e-3f * most);
 }
 
 TEST(BodyDraw, GradientsOfCookTorrance) {
@@ -325,6 +439,49 @@ TEST(BodyDraw, LightIsLinear) {
   for (size_t i = 0; i < sum.radiance().data.size(); ++i)
     ASSERT_NEAR(sum.radiance().data[i], first.radiance().data[i] + second.radiance().data[i],
                 2e-5f);
+}
+
+// With a shadow for each group light adds up, whatever the shadows are; one group is what there was
+// before, to the bit; and two that are shadowed alike are as one.
+TEST(BodyDraw, ShadowsOfGroupsKeepLightLinear) {
+  for (const BodyAppearance appearance :
+       {BodyAppearance::kZonal, BodyAppearance::kHarmonics, BodyAppearance::kPbr})
+    for (const bool deferred : {true, false}) {
+      if (!deferred && appearance == BodyAppearance::kPbr) continue;
+      BodyDrawOptions options;
+      options.appearance = appearance;
+      options.deferred = deferred;
+      Ball both(0.15, 24, 14 + transfer_coefficients(appearance));
+      const size_t n = both.surface.count();
+      const PointLights lamps = two_lamps();
+      EXPECT_EQ(radiance_of(both, body_light_groups(lamps, 1), options),
+                radiance_of(both, body_light(lamps), options));
+      const BodyLight groups = body_light_groups(lamps, 2);
+      ASSERT_EQ(groups.parts().size(), 2u);
+      const std::vector<float> whole = radiance_of(both, body_light(lamps), options);
+      std::vector<float>& shadow = both.surface.shadow;
+      const std::vector<float> alike(shadow.begin(), shadow.end());
+      shadow.insert(shadow.end(), alike.begin(), alike.end());
+      const std::vector<float> same = radiance_of(both, groups, options);
+      for (size_t i = 0; i < same.size(); ++i) ASSERT_NEAR(same[i], whole[i], 2e-5f);
+
+      shadow.resize(n);
+      shadow_parts(both.surface, 2);
+      std::vector<float> sum(same.size());
+      for (size_t g = 0; g < 2; ++g) {
+        Ball one = both;
+        one.surface.shadow.assign(&shadow[g * n], &shadow[g * n] + n);
+        const std::vector<float> part = radiance_of(one, groups.parts()[g], options);
+        for (size_t i = 0; i < sum.size(); ++i) sum[i] += part[i];
+      }
+      const std::vector<float> drawn = radiance_of(both, groups, options);
+      double moved = 0;
+      for (size_t i = 0; i < sum.size(); ++i) {
+        ASSERT_NEAR(drawn[i], sum[i], 2e-5f);
+        moved = std::max(moved, static_cast<double>(std::abs(drawn[i] - whole[i])));
+      }
+      EXPECT_GT(moved, 0.01);
+    }
 }
 
 TEST(BodyDraw, TurningEverythingChangesNothing) {

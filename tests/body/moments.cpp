@@ -60,6 +60,25 @@ TEST(StageMoments, LightAndShadowOfEveryFrame) {
   EXPECT_FALSE(few.light(full)->sh.empty());
   EXPECT_EQ(few.light(full), few.light(source.moment(3)));
   EXPECT_TRUE(few.light(part)->sh.empty());
+  // With groups, light and irradiance have as many parts, which together are what there was: one
+  // lamp a group, so each sees all or nothing.
+  BodyTrainSettings grouped;
+  grouped.shadow_groups = 2;
+  grouped.shadow_samples = 64;
+  StageMoments two(source, texels, grouped);
+  const auto lamps = two.light(part);
+  ASSERT_EQ(lamps->parts().size(), 2u);
+  EXPECT_EQ(lamps->parts()[0].points.lights.size() + lamps->parts()[1].points.lights.size(), 2u);
+  const std::vector<float>& both = two.irradiance(part, part);
+  ASSERT_EQ(both.size(), 2u * 16u * 16u);
+  for (const float value : both) EXPECT_TRUE(value == 0.0f || value == 1.0f) << value;
+  EXPECT_EQ(two.mean_irradiance({0, 1}).size(), 16u * 16u);
+  grouped.environment_from = 6;
+  StageMoments sky(source, texels, grouped);
+  ASSERT_EQ(sky.light(full)->parts().size(), 2u);
+  EXPECT_FALSE(sky.light(full)->parts()[1].sh.empty());
+  EXPECT_EQ(sky.irradiance(full, full).size(), 2u * 16u * 16u);
+
   settings.shadow = false;
   StageMoments none(source, texels, settings);
   EXPECT_TRUE(none.irradiance(part, part).empty());

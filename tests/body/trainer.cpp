@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <fstream>
+#include <functional>
 #include <iterator>
 
 #include "effigy/body/body_avatar.h"
@@ -91,6 +92,38 @@ TEST(BodyTrainer, ResumeIsBitExact) {
   for (int i = 0; i < 4; ++i) resumed.step();
   resumed.save_checkpoint(scratch / "resumed.safetensors");
   EXPECT_EQ(bytes_of(scratch / "straight.safetensors"), bytes_of(scratch / "resumed.safetensors"));
+}
+
+// What differs in how light becomes colour trains too, and draws the same from its folder.
+TEST(BodyTrainer, OtherWaysOfLight) {
+  const test::ScratchFolder scratch;
+  const StageCapture capture = test::write_lit_ball(scratch / "capture", 7, 32);
+  int run = 0;
+  for (const auto& change : std::vector<std::function<void(BodyTrainSettings&)>>{
+           [](BodyTrainSettings& s) { s.shadow_groups = 3; },
+           [](BodyTrainSettings& s) { s.appearance = "sh_turned"; },
+           [](BodyTrainSettings& s) {
+             s.environment_bands = "table";
+             s.environment_from = 3;
+           }}) {
+    BodyTrainSettings settings = quick(30);
+    change(settings);
+    const Path out = scratch / std::to_string(run++);
+    train_body(capture, settings, out, {});
+    BodyAvatar avatar = read_body_avatar(out);
+    const StageSource source(capture);
+    StageMoments moments(source, avatar.model.shadow_texels(), avatar.settings);
+    BodyViewer viewer(avatar.settings, avatar.model, moments);
+    const DrawnView seen = viewer.draw({1, 0});
+    BodyRenderer renderer(avatar);
+    renderer.set_pose(avatar.tracks.at("train").poses[1]);
+    renderer.set_points(source.moment(1).lights);
+    const Image drawn = to_image(renderer.draw(viewer.view().view));
+    EXPECT_GT(psnr(to_float(to_8bit(drawn)), seen.drawn), 38.0) << run;
+    EXPECT_GT(score_of(seen).psnr, 17.0) << run;
+    const Image shadow = body_buffer_values(renderer.picture(), "shadow");
+    for (const float value : shadow.data) ASSERT_TRUE(value >= 0 && value <= 1.001f);
+  }
 }
 
 TEST(BodyTrainer, CheckpointsOfOthersAreRefused) {

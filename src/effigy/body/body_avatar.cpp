@@ -113,6 +113,7 @@ BodyAvatar read_body_avatar(const Path& folder) {
       display_transform_from_name(json_field_or<std::string>(info, "display", file, "srgb"));
   avatar.camera = camera_from(json_field<Json>(info, "camera", file), file);
   avatar.model.set_mesh_normals(avatar.settings.normals == "mesh");
+  if (avatar.settings.appearance == "sh_turned") avatar.model.set_turned_harmonics();
   const int side = avatar.model.texels().size;
   const Path albedo = folder / "textures/albedo.png", roughness = folder / "textures/roughness.png";
   from_images({fitted(read_image(albedo), side, 3, albedo),

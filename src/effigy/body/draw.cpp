@@ -6,7 +6,8 @@
 #include "effigy/base/error.h"
 #include "effigy/base/threads.h"
 #include "effigy/body/pbr.h"
-#include "effigy/light/spherical_harmonics.h"
+#include "effigy/body/turned_harmonics.h"
+#include "effigy/light/light_groups.h"
 
 namespace effigy {
 namespace {
@@ -17,14 +18,6 @@ constexpr float kNarrowest = 1e-3f;           // lobe
 constexpr size_t kGrain = 2048;
 
 constexpr int kDirectionsSize = 8;  // of the cubemap that stands for far lamps
-constexpr size_t kHarmonics = sh_count(kZonalOrder), kColouredHarmonics = 16;
-constexpr size_t kHarmonicCoefficients = 3 * kColouredHarmonics + kHarmonics - kColouredHarmonics;
-
-// Where coefficient i of channel c is: the coloured ones first.
-constexpr size_t harmonic_index(size_t i, size_t c) {
-  return i < kColouredHarmonics ? 3 * i + c : 2 * kColouredHarmonics + i;
-}
-
 // Radiance times solid angle is kept.
 Cubemap halved_to(Cubemap map, int size) {
   while (map.size > size && map.size % 2 == 0) {
@@ -70,9 +63,10 @@ BodyLight body_light(PointLights points) {
   return light;
 }
 
-BodyLight body_light(const Cubemap& radiance) {
+BodyLight body_light(const Cubemap& radiance, bool band_table) {
   BodyLight light;
   light.sh = sh_of_cubemap(radiance);
+  if (band_table) light.bands = std::make_shared<const BandTable>(light.sh);
   light.lobes = std::make_shared<const LobeEnvironment>(radiance);
   const Cubemap coarse = halved_to(radiance, kDirectionsSize);
   for (int face = 0; face < 6; ++face)
@@ -87,18 +81,35 @@ BodyLight body_light(const Cubemap& radiance) {
   return light;
 }
 
+BodyLight body_light_groups(const PointLights& points, int groups) {
+  BodyLight light;
+  for (PointLights& part : group_points(points, groups))
+    light.groups.push_back(body_light(std::move(part)));
+  return light;
+}
+
+BodyLight body_light_groups(const Cubemap& radiance, int groups, bool band_table) {
+  BodyLight light;
+  for (const Cubemap& part : group_environment(radiance, groups))
+    light.groups.push_back(body_light(part, band_table));
+  return light;
+}
+
 BodyAppearance body_appearance_named(const std::string& name) {
   if (name == "zonal") return BodyAppearance::kZonal;
   if (name == "sh") return BodyAppearance::kHarmonics;
+  if (name == "sh_turned") return BodyAppearance::kTurnedHarmonics;
   if (name == "pbr") return BodyAppearance::kPbr;
-  throw Error("'" + name + "' is no appearance of bodies; choose zonal, sh or pbr.");
+  throw Error("'" + name + "' is no appearance of bodies; choose zonal, sh, sh_turned or pbr.");
 }
 
 size_t transfer_coefficients(BodyAppearance appearance) {
-  return appearance == BodyAppearance::kHarmonics ? kHarmonicCoefficients : kZonalCoefficients;
+  const bool harmonics =
+      appearance == BodyAppearance::kHarmonics || appearance == BodyAppearance::kTurnedHarmonics;
+  return harmonics ? kHarmonicCoefficients : kZonalCoefficients;
 }
 
-void BodySurfaceGradients::clear(size_t count, size_t transfer) {
+void BodySurfaceGradients::clear(size_t count, size_t transfer, size_t shadows) {
   zero(center, 3 * count);
   zero(rotation, 4 * count);
   zero(scale, 3 * count);
@@ -109,7 +120,7 @@ void BodySurfaceGradients::clear(size_t count, size_t transfer) {
   zero(albedo, 3 * count);
   zero(roughness, count);
   zero(visibility, count);
-  zero(shadow, count);
+  zero(shadow, shadows * count);
 }
 
 UvGaussianGradients BodySurfaceGradients::placed() const {
@@ -120,6 +131,8 @@ UvGaussianGradients BodySurfaceGradients::placed() const {
 struct BodyPicture::State {
   Planes image, radiance;
   GaussianFrame frame;
+  size_t groups = 1;  // of lights; what differs between them is one after the other
+  bool deferred = true;
   std::vector<float> features, position, diffuse_light, diffuse, harmonics;
   // Elements of specular light.
   std::vector<uint32_t> pixel;  // which; unused when not deferred
@@ -132,11 +145,18 @@ struct BodyPicture::State {
   std::vector<float> d_blended, d_opaque;
 
   size_t elements() const { return sigma.size(); }
+  // Of group g: its share of an array with so many numbers a group.
+  static std::span<float> part(std::vector<float>& all, size_t g, size_t each) {
+    return {all.data() + g * each, each};
+  }
+  int channel_count() const;
+  BodyGroupChannels channels_of(size_t g) const;
+  void shade_diffuse_part(const BodySurface& surface, const BodyLight& light,
+                          const BodyDrawOptions& options, size_t g);
   void shade_texels(const BodySurface& surface, const BodyLight& light,
                     const BodyDrawOptions& options);
   PbrView pbr_view() const;
-  void fill_features(const Camera& camera, const BodySurface& surface,
-                     const BodyDrawOptions& options);
+  void fill_features(const Camera& camera, const BodySurface& surface);
   void gather_pixels(const Camera& camera, const BodyDrawOptions& options);
   void gather_texels(const Camera& camera, const BodySurface& surface);
   void shade_lobes(const BodyLight& light, const BodyDrawOptions& options);
@@ -148,14 +168,12 @@ struct BodyPicture::State {
   void texels_backward(const BodySurface& surface, const BodyLight& light,
                        const BodyDrawOptions& options, const BodyPictureGradients& loss,
                        BodySurfaceGradients& gradients);
-  GaussianView view(const BodySurface& surface, const BodyDrawOptions& options) const;
+  void transfer_backward(const BodySurface& surface, const BodyLight& light,
+                         const BodyDrawOptions& options, size_t g, BodySurfaceGradients& gradients);
+  GaussianView view(const BodySurface& surface) const;
 };
 
 namespace {
-
-int channel_count(const BodyDrawOptions& options) {
-  return options.deferred ? kBodyChannels : kBodyChannels + 3;
-}
 
 // 1 / alpha, or 1 where the paper's products are wanted.
 float over_alpha(float alpha, const BodyDrawOptions& options) {
@@ -164,54 +182,76 @@ float over_alpha(float alpha, const BodyDrawOptions& options) {
 
 }  // namespace
 
-GaussianView BodyPicture::State::view(const BodySurface& surface,
-                                      const BodyDrawOptions& options) const {
+int BodyPicture::State::channel_count() const {
+  const int own = deferred ? 4 : 7;
+  return (deferred ? kBodyChannels : kBodyChannels + 3) + own * (static_cast<int>(groups) - 1);
+}
+
+BodyGroupChannels BodyPicture::State::channels_of(size_t g) const {
+  if (g == 0) return {};
+  const int own = deferred ? 4 : 7, first = channel_count() - own * static_cast<int>(groups - g);
+  return {first, first + 3, first + 4};
+}
+
+GaussianView BodyPicture::State::view(const BodySurface& surface) const {
   const UvGaussians& g = surface.placed;
-  return {g.center, g.rotation, g.scale, g.opacity, features, channel_count(options)};
+  return {g.center, g.rotation, g.scale, g.opacity, features, channel_count()};
 }
 
 PbrView BodyPicture::State::pbr_view() const {
   return {elements(), normal, to_camera, where, blended, opaque, sigma};
 }
 
+// What a group of lights gives every texel, without its albedo.
+void BodyPicture::State::shade_diffuse_part(const BodySurface& surface, const BodyLight& light,
+                                            const BodyDrawOptions& options, size_t g) {
+  const size_t n = surface.count();
+  const std::span<float> given = part(diffuse_light, g, 3 * n);
+  if (options.appearance == BodyAppearance::kZonal) {
+    shade_diffuse({light.points, light.sh, light.bands.get()},
+                  {n, surface.placed.axes, position, surface.placed.zonal}, given);
+  } else if (options.appearance == BodyAppearance::kHarmonics) {
+    const std::vector<float> own = root_harmonics(surface, light);
+    std::copy(own.begin(), own.end(), part(harmonics, g, own.size()).begin());
+    parallel_for(n, kGrain, [&](size_t begin, size_t end, int) {
+      for (size_t c = 0; c < 3; ++c) {
+        std::fill_n(&given[c * n + begin], end - begin, 0.0f);
+        for (size_t k = 0; k < kHarmonics; ++k) {
+          const float* d = &surface.placed.zonal[harmonic_index(k, c) * n];
+          for (size_t i = begin; i < end; ++i) given[c * n + i] += own[3 * k + c] * d[i];
+        }
+      }
+    });
+  } else if (options.appearance == BodyAppearance::kTurnedHarmonics) {
+    shade_turned_harmonics(light.sh.empty() ? light.points : sh_lamps(light.sh),
+                           {n, surface.placed.axes, position, surface.placed.zonal}, given);
+  } else {
+    std::fill(given.begin(), given.end(), 1.0f);
+  }
+}
+
 void BodyPicture::State::shade_texels(const BodySurface& surface, const BodyLight& light,
                                       const BodyDrawOptions& options) {
   const size_t n = surface.count();
   position.resize(3 * n);
-  diffuse_light.resize(3 * n);
-  diffuse.resize(3 * n);
+  diffuse_light.resize(groups * 3 * n);
+  diffuse.assign(3 * n, 0.0f);
+  harmonics.resize(groups * 3 * kHarmonics);
   parallel_for(n, kGrain, [&](size_t begin, size_t end, int) {
     for (size_t c = 0; c < 3; ++c)
       for (size_t i = begin; i < end; ++i) position[c * n + i] = surface.placed.center[3 * i + c];
   });
-  if (options.appearance == BodyAppearance::kZonal) {
-    shade_diffuse({light.points, light.sh},
-                  {n, surface.placed.axes, position, surface.placed.zonal}, diffuse_light);
-  } else if (options.appearance == BodyAppearance::kHarmonics) {
-    harmonics = root_harmonics(surface, light);
+  for (size_t g = 0; g < groups; ++g) shade_diffuse_part(surface, light.parts()[g], options, g);
+  for (size_t g = 0; g < groups; ++g)
     parallel_for(n, kGrain, [&](size_t begin, size_t end, int) {
-      for (size_t c = 0; c < 3; ++c) {
-        std::fill_n(&diffuse_light[c * n + begin], end - begin, 0.0f);
-        for (size_t k = 0; k < kHarmonics; ++k) {
-          const float* d = &surface.placed.zonal[harmonic_index(k, c) * n];
-          for (size_t i = begin; i < end; ++i)
-            diffuse_light[c * n + i] += harmonics[3 * k + c] * d[i];
-        }
-      }
+      for (size_t c = 0; c < 3; ++c)
+        for (size_t i = begin; i < end; ++i)
+          diffuse[c * n + i] += diffuse_light[(3 * g + c) * n + i] * surface.albedo[3 * i + c];
     });
-  } else {
-    std::fill(diffuse_light.begin(), diffuse_light.end(), 1.0f);
-  }
-  parallel_for(n, kGrain, [&](size_t begin, size_t end, int) {
-    for (size_t c = 0; c < 3; ++c)
-      for (size_t i = begin; i < end; ++i)
-        diffuse[c * n + i] = diffuse_light[c * n + i] * surface.albedo[3 * i + c];
-  });
 }
 
-void BodyPicture::State::fill_features(const Camera& camera, const BodySurface& surface,
-                                       const BodyDrawOptions& options) {
-  const size_t n = surface.count(), channels = static_cast<size_t>(channel_count(options));
+void BodyPicture::State::fill_features(const Camera& camera, const BodySurface& surface) {
+  const size_t n = surface.count(), channels = static_cast<size_t>(channel_count());
   features.resize(n * channels);
   const Eigen::Vector3f forward =
       camera.camera_from_world_rotation.row(2).transpose().cast<float>();
@@ -220,13 +260,21 @@ void BodyPicture::State::fill_features(const Camera& camera, const BodySurface& 
     for (size_t i = begin; i < end; ++i) {
       float* f = &features[i * channels];
       for (size_t c = 0; c < 3; ++c) {
-        f[kBodyDiffuse + c] = diffuse[c * n + i];
         f[kBodyNormal + c] = surface.placed.normal[c * n + i];
-        if (!options.deferred) f[kBodySpecular + c] = specular[c * n + i] * surface.visibility[i];
+      }
+      for (size_t g = 0; g < groups; ++g) {
+        const BodyGroupChannels at = channels_of(g);
+        for (size_t c = 0; c < 3; ++c) {
+          f[static_cast<size_t>(at.diffuse) + c] =
+              diffuse_light[(3 * g + c) * n + i] * surface.albedo[3 * i + c];
+          if (!deferred)
+            f[static_cast<size_t>(at.specular) + c] =
+                specular[(3 * g + c) * n + i] * surface.visibility[i];
+        }
+        f[at.shadow] = surface.shadow.empty() ? 1.0f : surface.shadow[g * n + i];
       }
       f[kBodyRoughness] = surface.roughness[i];
       f[kBodyVisibility] = surface.visibility[i];
-      f[kBodyShadow] = surface.shadow.empty() ? 1.0f : surface.shadow[i];
       f[kBodyDepth] = forward.dot(Eigen::Map<const Vec3f>(&surface.placed.center[3 * i])) + offset;
     }
   });
@@ -238,7 +286,8 @@ void BodyPicture::State::gather_pixels(const Camera& camera, const BodyDrawOptio
   for (size_t p = 0; p < image.pixels(); ++p)
     if (alpha[p] > kLeastAlpha) pixel.push_back(static_cast<uint32_t>(p));
   const size_t m = pixel.size();
-  for (auto* array : {&normal, &to_camera, &lobe, &where, &specular}) array->resize(3 * m);
+  for (auto* array : {&normal, &to_camera, &lobe, &where}) array->resize(3 * m);
+  specular.resize(groups * 3 * m);
   sigma.resize(m);
   inverse_length.resize(m);
   const Eigen::Matrix3f world_from_camera =
@@ -275,7 +324,8 @@ void BodyPicture::State::gather_pixels(const Camera& camera, const BodyDrawOptio
 void BodyPicture::State::gather_texels(const Camera& camera, const BodySurface& surface) {
   const size_t n = surface.count();
   pixel.clear();
-  for (auto* array : {&to_camera, &lobe, &specular}) array->resize(3 * n);
+  for (auto* array : {&to_camera, &lobe}) array->resize(3 * n);
+  specular.resize(groups * 3 * n);
   normal = surface.placed.normal;
   where = position;
   sigma.resize(n);
@@ -300,11 +350,16 @@ void BodyPicture::State::shade_lobes(const BodyLight& light, const BodyDrawOptio
       for (size_t c = 0; c < 3; ++c)
         blended[c * m + e] = image.plane(1 + kBodyDiffuse + static_cast<int>(c))[pixel[e]];
     }
-    return shade_pbr(light.lamps(), pbr_view(), specular);
+    for (size_t g = 0; g < groups; ++g)
+      shade_pbr(light.parts()[g].lamps(), pbr_view(), part(specular, g, 3 * m));
+    return;
   }
   reflect_views(m, normal, to_camera, lobe);
-  shade_specular({light.points, light.lobes.get()}, options.sg_norm, {m, lobe, sigma, where},
-                 specular);
+  for (size_t g = 0; g < groups; ++g) {
+    const BodyLight& own = light.parts()[g];
+    shade_specular({own.points, own.lobes.get()}, options.sg_norm, {m, lobe, sigma, where},
+                   part(specular, g, 3 * m));
+  }
 }
 
 void BodyPicture::State::compose(const BodyDrawOptions& options) {
@@ -312,28 +367,35 @@ void BodyPicture::State::compose(const BodyDrawOptions& options) {
     radiance = Planes(image.width, image.height, 3);
   const size_t pixels = image.pixels(), m = pixel.size();
   const bool pbr = options.appearance == BodyAppearance::kPbr;
-  const float *alpha = image.plane(0), *shadow = image.plane(1 + kBodyShadow);
-  parallel_for(pixels, kGrain, [&](size_t begin, size_t end, int) {
-    for (int c = 0; c < 3; ++c) {
-      const float* colour = image.plane(1 + kBodyDiffuse + c);
-      const float* gloss = options.deferred ? nullptr : image.plane(1 + kBodySpecular + c);
-      float* out = radiance.plane(c);
-      for (size_t p = begin; p < end; ++p)
-        out[p] = pbr ? 0.0f
-                     : (colour[p] + (gloss != nullptr ? gloss[p] : 0.0f)) * shadow[p] *
-                           over_alpha(alpha[p], options);
-    }
-  });
-  if (!options.deferred) return;
+  const float* alpha = image.plane(0);
+  std::fill(radiance.data.begin(), radiance.data.end(), 0.0f);
+  for (size_t g = 0; g < groups && !pbr; ++g) {
+    const BodyGroupChannels at = channels_of(g);
+    const float* shadow = image.plane(1 + at.shadow);
+    parallel_for(pixels, kGrain, [&](size_t begin, size_t end, int) {
+      for (int c = 0; c < 3; ++c) {
+        const float* colour = image.plane(1 + at.diffuse + c);
+        const float* gloss = deferred ? nullptr : image.plane(1 + at.specular + c);
+        float* out = radiance.plane(c);
+        for (size_t p = begin; p < end; ++p)
+          out[p] += (colour[p] + (gloss != nullptr ? gloss[p] : 0.0f)) * shadow[p] *
+                    over_alpha(alpha[p], options);
+      }
+    });
+  }
+  if (!deferred) return;
   const float* visible = image.plane(1 + kBodyVisibility);
-  parallel_for(m, kGrain, [&](size_t begin, size_t end, int) {
-    for (size_t e = begin; e < end; ++e) {
-      const uint32_t p = pixel[e];
-      const float weight = (pbr ? 1.0f : visible[p]) * shadow[p] * over_alpha(alpha[p], options);
-      for (size_t c = 0; c < 3; ++c)
-        radiance.plane(static_cast<int>(c))[p] += weight * specular[c * m + e];
-    }
-  });
+  for (size_t g = 0; g < groups; ++g) {
+    const float* shadow = image.plane(1 + channels_of(g).shadow);
+    parallel_for(m, kGrain, [&](size_t begin, size_t end, int) {
+      for (size_t e = begin; e < end; ++e) {
+        const uint32_t p = pixel[e];
+        const float weight = (pbr ? 1.0f : visible[p]) * shadow[p] * over_alpha(alpha[p], options);
+        for (size_t c = 0; c < 3; ++c)
+          radiance.plane(static_cast<int>(c))[p] += weight * specular[(3 * g + c) * m + e];
+      }
+    });
+  }
   double sum = 0;
   for (size_t e = 0; e < m; ++e) {
     const float facing = normal[e] * to_camera[e] + normal[m + e] * to_camera[m + e] +
@@ -353,50 +415,51 @@ void BodyPicture::State::compose_backward(const BodyDrawOptions& options,
       d_image.count != image.count)
     d_image = Planes(image.width, image.height, image.count);
   std::fill(d_image.data.begin(), d_image.data.end(), 0.0f);
-  d_specular.assign(3 * m, 0.0f);
+  d_specular.assign(groups * 3 * m, 0.0f);
   std::vector<float>& d_shade = unused;  // derivative by h' of every pixel
-  d_shade.assign(pixels, 0.0f);
-  const float *alpha = image.plane(0), *shadow = image.plane(1 + kBodyShadow);
-  const float* visible = image.plane(1 + kBodyVisibility);
+  const float *alpha = image.plane(0), *visible = image.plane(1 + kBodyVisibility);
   const bool pbr = options.appearance == BodyAppearance::kPbr;
-  parallel_for(pbr ? 0 : pixels, kGrain, [&](size_t begin, size_t end, int) {
-    for (int c = 0; c < 3; ++c) {
-      const float* d = loss.radiance->plane(c);
-      const float* colour = image.plane(1 + kBodyDiffuse + c);
-      const float* gloss = options.deferred ? nullptr : image.plane(1 + kBodySpecular + c);
-      for (size_t p = begin; p < end; ++p) {
-        const float shade = shadow[p] * over_alpha(alpha[p], options);
-        d_image.plane(1 + kBodyDiffuse + c)[p] = d[p] * shade;
-        if (gloss != nullptr) d_image.plane(1 + kBodySpecular + c)[p] = d[p] * shade;
-        d_shade[p] += d[p] * (colour[p] + (gloss != nullptr ? gloss[p] : 0.0f));
+  if (!loss.alpha.empty()) std::copy(loss.alpha.begin(), loss.alpha.end(), d_image.plane(0));
+  for (size_t g = 0; g < groups; ++g) {
+    const BodyGroupChannels at = channels_of(g);
+    const float* shadow = image.plane(1 + at.shadow);
+    d_shade.assign(pixels, 0.0f);
+    parallel_for(pbr ? 0 : pixels, kGrain, [&](size_t begin, size_t end, int) {
+      for (int c = 0; c < 3; ++c) {
+        const float* d = loss.radiance->plane(c);
+        const float* colour = image.plane(1 + at.diffuse + c);
+        const float* gloss = deferred ? nullptr : image.plane(1 + at.specular + c);
+        for (size_t p = begin; p < end; ++p) {
+          const float shade = shadow[p] * over_alpha(alpha[p], options);
+          d_image.plane(1 + at.diffuse + c)[p] = d[p] * shade;
+          if (gloss != nullptr) d_image.plane(1 + at.specular + c)[p] = d[p] * shade;
+          d_shade[p] += d[p] * (colour[p] + (gloss != nullptr ? gloss[p] : 0.0f));
+        }
       }
-    }
-  });
-  if (options.deferred)
-    parallel_for(m, kGrain, [&](size_t begin, size_t end, int) {
+    });
+    parallel_for(deferred ? m : 0, kGrain, [&](size_t begin, size_t end, int) {
       for (size_t e = begin; e < end; ++e) {
         const uint32_t p = pixel[e];
         const float shade = shadow[p] * over_alpha(alpha[p], options);
         float light = 0;
         for (size_t c = 0; c < 3; ++c) {
           const float d = loss.radiance->plane(static_cast<int>(c))[p];
-          light += d * specular[c * m + e];
-          d_specular[c * m + e] = d * shade * (pbr ? 1.0f : visible[p]);
+          light += d * specular[(3 * g + c) * m + e];
+          d_specular[(3 * g + c) * m + e] = d * shade * (pbr ? 1.0f : visible[p]);
         }
-        if (!pbr) d_image.plane(1 + kBodyVisibility)[p] = light * shade;
+        if (!pbr) d_image.plane(1 + kBodyVisibility)[p] += light * shade;
         d_shade[p] += light * (pbr ? 1.0f : visible[p]);
       }
     });
-  parallel_for(pixels, kGrain, [&](size_t begin, size_t end, int) {
-    for (size_t p = begin; p < end; ++p) {
-      const float inverse = over_alpha(alpha[p], options);
-      d_image.plane(1 + kBodyShadow)[p] = d_shade[p] * inverse;
-      float d_alpha = loss.alpha.empty() ? 0.0f : loss.alpha[p];
-      if (options.divide_by_alpha && alpha[p] > kLeastAlpha)
-        d_alpha -= d_shade[p] * shadow[p] * inverse * inverse;
-      d_image.plane(0)[p] = d_alpha;
-    }
-  });
+    parallel_for(pixels, kGrain, [&](size_t begin, size_t end, int) {
+      for (size_t p = begin; p < end; ++p) {
+        const float inverse = over_alpha(alpha[p], options);
+        d_image.plane(1 + at.shadow)[p] = d_shade[p] * inverse;
+        if (options.divide_by_alpha && alpha[p] > kLeastAlpha)
+          d_image.plane(0)[p] -= d_shade[p] * shadow[p] * inverse * inverse;
+      }
+    });
+  }
 }
 
 void BodyPicture::State::lobes_backward(const BodyLight& light, const BodyDrawOptions& options) {
@@ -406,11 +469,16 @@ void BodyPicture::State::lobes_backward(const BodyLight& light, const BodyDrawOp
   if (options.appearance == BodyAppearance::kPbr) {
     d_blended.assign(3 * m, 0.0f);
     d_opaque.assign(m, 0.0f);
-    return shade_pbr_backward(light.lamps(), pbr_view(), d_specular,
-                              {d_normal, d_blended, d_opaque, d_sigma});
+    for (size_t g = 0; g < groups; ++g)
+      shade_pbr_backward(light.parts()[g].lamps(), pbr_view(), part(d_specular, g, 3 * m),
+                         {d_normal, d_blended, d_opaque, d_sigma});
+    return;
   }
-  shade_specular_backward({light.points, light.lobes.get()}, options.sg_norm,
-                          {m, lobe, sigma, where}, d_specular, {d_lobe, d_sigma, {}});
+  for (size_t g = 0; g < groups; ++g) {
+    const BodyLight& own = light.parts()[g];
+    shade_specular_backward({own.points, own.lobes.get()}, options.sg_norm, {m, lobe, sigma, where},
+                            part(d_specular, g, 3 * m), {d_lobe, d_sigma, {}});
+  }
   reflect_views_backward(m, normal, to_camera, d_lobe, d_normal, unused);
 }
 
@@ -452,53 +520,71 @@ void BodyPicture::State::texels_backward(const BodySurface& surface, const BodyL
                                          const BodyDrawOptions& options,
                                          const BodyPictureGradients& loss,
                                          BodySurfaceGradients& gradients) {
-  const size_t n = surface.count(), channels = static_cast<size_t>(channel_count(options));
-  if (!options.deferred) {
-    d_specular.assign(3 * n, 0.0f);
+  const size_t n = surface.count(), channels = static_cast<size_t>(channel_count());
+  if (!deferred) {
+    d_specular.assign(groups * 3 * n, 0.0f);
     for (size_t i = 0; i < n; ++i)
-      for (size_t c = 0; c < 3; ++c) {
-        const float d = d_features[i * channels + kBodySpecular + c];
-        d_specular[c * n + i] = d * surface.visibility[i];
-        gradients.visibility[i] += d * specular[c * n + i];
-      }
+      for (size_t g = 0; g < groups; ++g)
+        for (size_t c = 0; c < 3; ++c) {
+          const float d =
+              d_features[i * channels + static_cast<size_t>(channels_of(g).specular) + c];
+          d_specular[(3 * g + c) * n + i] = d * surface.visibility[i];
+          gradients.visibility[i] += d * specular[(3 * g + c) * n + i];
+        }
     lobes_backward(light, options);
   }
-  d_light.resize(3 * n);
+  d_light.resize(groups * 3 * n);
   d_position.assign(3 * n, 0.0f);
   parallel_for(n, kGrain, [&](size_t begin, size_t end, int) {
     for (size_t i = begin; i < end; ++i) {
       const float* d = &d_features[i * channels];
-      for (size_t c = 0; c < 3; ++c) {
-        const float colour =
-            d[kBodyDiffuse + c] + (loss.diffuse.empty() ? 0.0f : loss.diffuse[c * n + i]);
-        d_light[c * n + i] = colour * surface.albedo[3 * i + c];
-        gradients.albedo[3 * i + c] += colour * diffuse_light[c * n + i];
-        gradients.normal[c * n + i] +=
-            d[kBodyNormal + c] + (options.deferred ? 0.0f : d_normal[c * n + i]);
+      for (size_t g = 0; g < groups; ++g) {
+        const BodyGroupChannels at = channels_of(g);
+        for (size_t c = 0; c < 3; ++c) {
+          const float colour = d[static_cast<size_t>(at.diffuse) + c] +
+                               (loss.diffuse.empty() ? 0.0f : loss.diffuse[c * n + i]);
+          d_light[(3 * g + c) * n + i] = colour * surface.albedo[3 * i + c];
+          gradients.albedo[3 * i + c] += colour * diffuse_light[(3 * g + c) * n + i];
+        }
+        gradients.shadow[g * n + i] += d[at.shadow];
       }
+      for (size_t c = 0; c < 3; ++c)
+        gradients.normal[c * n + i] += d[kBodyNormal + c] + (deferred ? 0.0f : d_normal[c * n + i]);
       gradients.roughness[i] += d[kBodyRoughness];
-      if (!options.deferred && surface.roughness[i] > kNarrowest)
-        gradients.roughness[i] += d_sigma[i];
+      if (!deferred && surface.roughness[i] > kNarrowest) gradients.roughness[i] += d_sigma[i];
       gradients.visibility[i] += d[kBodyVisibility];
-      gradients.shadow[i] += d[kBodyShadow];
     }
   });
-  if (options.appearance == BodyAppearance::kPbr) return;
+  for (size_t g = 0; g < groups; ++g)
+    transfer_backward(surface, light.parts()[g], options, g, gradients);
+  for (size_t i = 0; i < n; ++i)
+    for (size_t c = 0; c < 3; ++c) gradients.center[3 * i + c] += d_position[c * n + i];
+}
+
+// From a group's light on every texel to the transfer and where it is.
+void BodyPicture::State::transfer_backward(const BodySurface& surface, const BodyLight& light,
+                                           const BodyDrawOptions& options, size_t g,
+                                           BodySurfaceGradients& gradients) {
+  const size_t n = surface.count();
+  const std::span<const float> d_given = part(d_light, g, 3 * n);
   if (options.appearance == BodyAppearance::kHarmonics) {
+    const std::span<const float> own = part(harmonics, g, 3 * kHarmonics);
     parallel_for(n, kGrain, [&](size_t begin, size_t end, int) {
       for (size_t c = 0; c < 3; ++c)
         for (size_t k = 0; k < kHarmonics; ++k) {
           float* d = &gradients.zonal[harmonic_index(k, c) * n];
-          for (size_t i = begin; i < end; ++i) d[i] += harmonics[3 * k + c] * d_light[c * n + i];
+          for (size_t i = begin; i < end; ++i) d[i] += own[3 * k + c] * d_given[c * n + i];
         }
     });
-    return;
+  } else if (options.appearance == BodyAppearance::kTurnedHarmonics) {
+    shade_turned_harmonics_backward(light.sh.empty() ? light.points : sh_lamps(light.sh),
+                                    {n, surface.placed.axes, position, surface.placed.zonal},
+                                    d_given, {gradients.axes, d_position, gradients.zonal});
+  } else if (options.appearance == BodyAppearance::kZonal) {
+    shade_diffuse_backward({light.points, light.sh, light.bands.get()},
+                           {n, surface.placed.axes, position, surface.placed.zonal}, d_given,
+                           {gradients.axes, d_position, gradients.zonal, {}});
   }
-  shade_diffuse_backward({light.points, light.sh},
-                         {n, surface.placed.axes, position, surface.placed.zonal}, d_light,
-                         {gradients.axes, d_position, gradients.zonal, {}});
-  for (size_t i = 0; i < n; ++i)
-    for (size_t c = 0; c < 3; ++c) gradients.center[3 * i + c] += d_position[c * n + i];
 }
 
 BodyPicture::BodyPicture() : state_(std::make_unique<State>()) {}
@@ -510,13 +596,16 @@ void BodyPicture::draw(const Camera& camera, const BodySurface& surface, const B
                        const BodyDrawOptions& options) {
   State& s = *state_;
   EFFIGY_CHECK(options.deferred || options.appearance != BodyAppearance::kPbr);
+  s.groups = light.parts().size();
+  s.deferred = options.deferred;
+  EFFIGY_CHECK(surface.shadow.empty() || surface.shadow.size() == s.groups * surface.count());
   s.shade_texels(surface, light, options);
   if (!options.deferred) {
     s.gather_texels(camera, surface);
     s.shade_lobes(light, options);
   }
-  s.fill_features(camera, surface, options);
-  render_gaussians(camera, s.view(surface, options), options.raster, s.image, s.frame);
+  s.fill_features(camera, surface);
+  render_gaussians(camera, s.view(surface), options.raster, s.image, s.frame);
   s.orient = 0;
   if (options.deferred) {
     s.gather_pixels(camera, options);
@@ -536,7 +625,7 @@ void BodyPicture::backward(const Camera& camera, const BodySurface& surface, con
   }
   s.d_features.assign(s.features.size(), 0.0f);
   render_gaussians_backward(
-      camera, s.view(surface, options), options.raster, s.image, s.frame, s.d_image,
+      camera, s.view(surface), options.raster, s.image, s.frame, s.d_image,
       {gradients.center, gradients.rotation, gradients.scale, gradients.opacity, s.d_features, {}});
   s.texels_backward(surface, light, options, loss, gradients);
 }
@@ -549,6 +638,12 @@ const Planes& BodyPicture::channels() const {
 }
 std::span<const float> BodyPicture::alpha() const {
   return {state_->image.plane(0), state_->image.pixels()};
+}
+size_t BodyPicture::groups() const {
+  return state_->groups;
+}
+BodyGroupChannels BodyPicture::channels_of(size_t group) const {
+  return state_->channels_of(group);
 }
 std::span<const float> BodyPicture::diffuse() const {
   return state_->diffuse;

@@ -6,6 +6,8 @@
 // (shadow), z (depth) and alpha a of a pixel:
 //   n' = n / |n|, s' = s / a, h' = h / a, position = the pixel's ray at depth z / a,
 //   C = (D + v S(reflect(n'), s')) h'      (Eq. 12, 16; S: light filtered by the lobe, Eq. 13)
+// Where groups of lights have shadows of their own, each has its D, S and h, and C is the sum over
+// them: with the shadows given, linear in the lights.
 // C is linear radiance over black, premultiplied. Without divide_by_alpha s' = s and h' = h, as the
 // paper prints. Depth has no gradient: blended depth is too noisy to be steered by highlights.
 #pragma once
@@ -27,13 +29,23 @@ struct BodyLight {
   PointLights points;
   std::vector<float> sh;                         // sh_of_cubemap of an environment, or empty
   std::shared_ptr<const LobeEnvironment> lobes;  // of the same environment, or none
+  std::shared_ptr<const BandTable> bands;        // of the same, where they are to be looked up
   PointLights directions;                        // the environment as far lamps, for the baselines
+  // Groups of lights with shadows of their own: then this is their sum, and all of the above is
+  // empty.
+  std::vector<BodyLight> groups;
+  std::span<const BodyLight> parts() const {
+    return groups.empty() ? std::span(this, 1) : std::span(groups);
+  }
   // The points, or the directions of an environment.
   const PointLights& lamps() const { return sh.empty() ? points : directions; }
 };
 BodyLight body_light(PointLights points);
 // Takes seconds for large cubemaps (LobeEnvironment).
-BodyLight body_light(const Cubemap& radiance);
+BodyLight body_light(const Cubemap& radiance, bool band_table = false);
+// The same light in at most so many groups (light/light_groups.h), each in a part of its own.
+BodyLight body_light_groups(const PointLights& points, int groups);
+BodyLight body_light_groups(const Cubemap& radiance, int groups, bool band_table = false);
 
 // How light becomes colour.
 enum class BodyAppearance {
@@ -41,9 +53,10 @@ enum class BodyAppearance {
   // Baselines of the paper:
   kHarmonics,  // spherical harmonics in the root's frame that do not turn with the surface, and
                // lobes; light comes to all Gaussians from where it comes to the root
-  kPbr,        // Cook-Torrance (body/pbr.h) on the same Gaussians; deferred
+  kTurnedHarmonics,  // the same, but turned with each Gaussian's axes
+  kPbr,              // Cook-Torrance (body/pbr.h) on the same Gaussians; deferred
 };
-// By name: zonal, sh, pbr. Throws Error for others.
+// By name: zonal, sh, sh_turned, pbr. Throws Error for others.
 BodyAppearance body_appearance_named(const std::string& name);
 // Coefficients a Gaussian has: 51 or, of spherical harmonics, 3 x 16 + 65.
 size_t transfer_coefficients(BodyAppearance appearance);
@@ -59,10 +72,10 @@ struct BodyDrawOptions {
 // What drawing reads of n texels.
 struct BodySurface {
   UvGaussians placed;
-  std::vector<float> albedo;                  // 3 a texel, linear
-  std::vector<float> roughness;               // width of the lobe, > 0
-  std::vector<float> visibility;              // of specular light, in [0, 1]
-  std::vector<float> shadow;                  // in [0, 1]; empty: all lit
+  std::vector<float> albedo;      // 3 a texel, linear
+  std::vector<float> roughness;   // width of the lobe, > 0
+  std::vector<float> visibility;  // of specular light, in [0, 1]
+  std::vector<float> shadow;      // in [0, 1], count() for each part of the light; empty: all lit
   Mat3f world_from_root = Mat3f::Identity();  // of the body
   Vec3f root = Vec3f::Zero();                 // metres, world
   size_t count() const { return roughness.size(); }
@@ -72,8 +85,8 @@ struct BodySurface {
 struct BodySurfaceGradients {
   std::vector<float> center, rotation, scale, opacity, axes, zonal, normal;
   std::vector<float> albedo, roughness, visibility, shadow;
-  // Sets all to zero, for `count` texels with so many coefficients of transfer.
-  void clear(size_t count, size_t transfer = kZonalCoefficients);
+  // Sets all to zero, for `count` texels with so many coefficients of transfer and shadows.
+  void clear(size_t count, size_t transfer = kZonalCoefficients, size_t shadows = 1);
   UvGaussianGradients placed() const;
 };
 
@@ -87,6 +100,11 @@ enum BodyChannel : int {
   kBodyDepth = 9,
   kBodyChannels = 10,
   kBodySpecular = 10,  // 3 more when not deferred
+};
+// Of a group of lights: the first of its channels. Those of groups after the first follow all the
+// others.
+struct BodyGroupChannels {
+  int diffuse = kBodyDiffuse, shadow = kBodyShadow, specular = kBodySpecular;
 };
 
 // What a loss says about a picture.
@@ -116,6 +134,9 @@ class BodyPicture {
   const Planes& radiance() const;  // 3 planes, linear, over black
   const Planes& channels() const;  // plane 0: alpha; plane 1 + c: BodyChannel c
   std::span<const float> alpha() const;
+  // Groups of lights of the last draw, at least 1, and where their channels are.
+  size_t groups() const;
+  BodyGroupChannels channels_of(size_t group) const;
   // Diffuse colour of every texel before splatting, 3 planes; may be negative.
   std::span<const float> diffuse() const;
   // Mean of max(0, -n'.w)^2 over the drawn pixels (0 when not deferred).

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "effigy/base/error.h"
+#include "effigy/body/turned_harmonics.h"
 #include "effigy/light/zonal.h"
 
 namespace effigy {
@@ -13,25 +14,29 @@ constexpr float kStartAlbedo = 0.5f, kStartRoughness = 0.2f;
 constexpr const char* kAlbedo = "maps.albedo";
 constexpr const char* kRoughness = "maps.log_roughness";
 
-// Spherical harmonics of a Lambertian lobe about each texel's normal at rest, in the layout of
-// transfer coefficients (48 coloured, 65 grey); empty for zonal harmonics.
-std::vector<float> start_transfer(const Mesh& mesh, const UvTexels& texels, int transfer) {
+// Spherical harmonics of a Lambertian lobe about one normal a texel (3 numbers each), in the layout
+// of transfer coefficients; empty for zonal harmonics.
+std::vector<float> start_transfer(const std::vector<double>& normals, int transfer) {
   if (transfer == static_cast<int>(kZonalCoefficients)) return {};
-  const TexelFrames rest = texel_frames(texels, mesh.vertices, mesh.triangles);
-  const size_t n = texels.count();
+  const size_t n = normals.size() / 3;
   std::vector<float> start(static_cast<size_t>(transfer) * n);
-  constexpr size_t kColoured = 16;
   for (size_t i = 0; i < n; ++i) {
-    const double normal[3] = {static_cast<double>(rest.rotation[9 * i + 2]),
-                              static_cast<double>(rest.rotation[9 * i + 5]),
-                              static_cast<double>(rest.rotation[9 * i + 8])};
-    double sh[sh_count(kZonalOrder)];
-    zonal_to_sh(lambert_zonal().data(), normal, sh);
-    for (size_t k = 0; k < sh_count(kZonalOrder); ++k)
-      for (size_t c = 0; c < (k < kColoured ? 3u : 1u); ++c)
-        start[(k < kColoured ? 3 * k + c : 2 * kColoured + k) * n + i] = static_cast<float>(sh[k]);
+    double sh[kHarmonics];
+    zonal_to_sh(lambert_zonal().data(), &normals[3 * i], sh);
+    for (size_t k = 0; k < kHarmonics; ++k)
+      for (size_t c = 0; c < (k < kColouredHarmonics ? 3u : 1u); ++c)
+        start[harmonic_index(k, c) * n + i] = static_cast<float>(sh[k]);
   }
   return start;
+}
+
+std::vector<double> rest_normals(const Mesh& mesh, const UvTexels& texels) {
+  const TexelFrames rest = texel_frames(texels, mesh.vertices, mesh.triangles);
+  std::vector<double> normals;
+  for (size_t i = 0; i < texels.count(); ++i)
+    for (size_t c = 0; c < 3; ++c)
+      normals.push_back(static_cast<double>(rest.rotation[9 * i + 3 * c + 2]));
+  return normals;
 }
 
 }  // namespace
@@ -43,7 +48,7 @@ BodyModel::BodyModel(const Mesh& mesh, const BodyNetworkSettings& settings, uint
       networks_(settings, texels_.texel, seed) {
   maps_.albedo.assign(3 * texels_.count(), kStartAlbedo);
   maps_.log_roughness.assign(texels_.count(), std::log(kStartRoughness));
-  start_transfer_ = start_transfer(mesh, texels_, settings.transfer);
+  start_transfer_ = start_transfer(rest_normals(mesh, texels_), settings.transfer);
 }
 
 BodyModel::BodyModel(const Mesh& mesh, const TensorFile& file)
@@ -54,10 +59,16 @@ BodyModel::BodyModel(const Mesh& mesh, const TensorFile& file)
     throw Error(file.path.string() +
                 ": the networks belong to a mesh with another atlas than the rig beside them; "
                 "train again.");
-  start_transfer_ = start_transfer(mesh, texels_, networks_.settings().transfer);
+  start_transfer_ = start_transfer(rest_normals(mesh, texels_), networks_.settings().transfer);
   const auto count = static_cast<int64_t>(texels_.count());
   maps_.albedo = file.floats(kAlbedo, {count, 3});
   maps_.log_roughness = file.floats(kRoughness, {count});
+}
+
+void BodyModel::set_turned_harmonics() {
+  std::vector<double> third(3 * texels_.count(), 0.0);
+  for (size_t i = 2; i < third.size(); i += 3) third[i] = 1;
+  start_transfer_ = start_transfer(third, networks_.settings().transfer);
 }
 
 void BodyModel::save(TensorFile& file) const {

@@ -37,12 +37,15 @@ class BodyModel {
   BodyMaps& maps() { return maps_; }
   const BodyMaps& maps() const { return maps_; }
   void set_mesh_normals(bool mesh_normals) { mesh_normals_ = mesh_normals; }
+  // Where transfer is spherical harmonics: of each Gaussian's own frame, not the root's.
+  void set_turned_harmonics();
 
   // Decodes a moment; how it is shadowed; how it looks from `eye` (world). All three, in this
   // order, before drawing; afterwards `look` alone when only the camera moves, `light` alone when
   // only lights do.
   void pose(const BodyMoment& moment);
-  void light(std::span<const float> irradiance);  // shadow_side^2; empty: no shadow
+  // Pictures of shadow_side^2, one for each part of the light; empty: no shadow.
+  void light(std::span<const float> irradiance);
   void look(const Vec3f& eye);
   const BodySurface& surface() const { return surface_; }
   // Of the last pose: numbers of every texel (gaussian_channels.h), valid until the next.
@@ -60,7 +63,7 @@ class BodyModel {
   BodyMaps maps_;
   bool mesh_normals_ = false;
   // Added to the decoded coefficients where they are spherical harmonics: Lambert about the normal
-  // at rest, planes; else empty.
+  // at rest (of the frame's third axis, where they turn), planes; else empty.
   std::vector<float> start_transfer_;
   TexelFrames frames_;
   BodySurface surface_;

@@ -5,12 +5,17 @@
 
 #include "effigy/base/error.h"
 #include "effigy/light/cubemap_layout.h"
+#include "effigy/light/light_groups.h"
 
 namespace effigy {
 namespace {
 
 constexpr int kEnvironmentSize = 64;
 constexpr size_t kMeanFrames = 32;
+
+Cubemap environment(const StageMoment& at) {
+  return cubemap_from_equirectangular(read_environment(at.environment), kEnvironmentSize);
+}
 
 }  // namespace
 
@@ -63,26 +68,58 @@ const std::vector<float>& StageMoments::irradiance(const StageMoment& at,
   if (found != found_.end()) return found->second;
   const TexelFrames frames =
       texel_frames(texels_, at.vertices, source_.capture().rig.mesh.triangles);
+  return found_[key] = irradiance_of(frames, at, lit_as);
+}
+
+std::vector<float> StageMoments::irradiance_of(const TexelFrames& frames, const StageMoment& at,
+                                               const StageMoment& lit_as) {
   const IrradianceSampling sampling{settings_.shadow_samples,
                                     settings_.seed + static_cast<uint64_t>(at.frame)};
-  if (lit_as.environment.empty())
-    return found_[key] = irradiance_.of_points(frames, rays(at), points(lit_as), sampling);
-  auto& sampler = samplers_[lit_as.environment.string()];
-  if (sampler == nullptr)
-    sampler = std::make_shared<EnvironmentSampler>(read_environment(lit_as.environment), 0.0,
-                                                   EnvironmentDraw::kLuminance);
-  return found_[key] = irradiance_.of_environment(frames, rays(at), *sampler, sampling);
+  const RayScene& body = rays(at);
+  std::vector<float> all;
+  const auto add = [&](const std::vector<float>& picture) {
+    all.insert(all.end(), picture.begin(), picture.end());
+  };
+  if (lit_as.environment.empty()) {
+    for (const PointLights& part : group_points(points(lit_as), settings_.shadow_groups))
+      add(irradiance_.of_points(frames, body, part, sampling));
+    return all;
+  }
+  std::vector<EnvironmentSampler>& samplers = samplers_[lit_as.environment.string()];
+  if (samplers.empty() && settings_.shadow_groups == 1)
+    samplers.emplace_back(read_environment(lit_as.environment), 0.0, EnvironmentDraw::kLuminance);
+  else if (samplers.empty())
+    for (const Cubemap& part : group_environment(environment(lit_as), settings_.shadow_groups))
+      samplers.emplace_back(part, EnvironmentDraw::kLuminance);
+  for (const EnvironmentSampler& sampler : samplers)
+    add(irradiance_.of_environment(frames, body, sampler, sampling));
+  return all;
+}
+
+bool StageMoments::many(const StageMoment& at) const {
+  return at.environment.empty() && at.fully_lit &&
+         static_cast<int>(at.lights.lights.size()) >= settings_.environment_from;
 }
 
 std::shared_ptr<const BodyLight> StageMoments::light(const StageMoment& at) {
-  const bool many =
-      at.fully_lit && static_cast<int>(at.lights.lights.size()) >= settings_.environment_from;
-  if (at.environment.empty() && !many) return std::make_shared<BodyLight>(body_light(points(at)));
+  const int groups = settings_.shadow ? settings_.shadow_groups : 1;
+  if (at.environment.empty() && !many(at))
+    return std::make_shared<BodyLight>(groups == 1 ? body_light(points(at))
+                                                   : body_light_groups(points(at), groups));
   auto& light = environments_[at.environment.string()];
-  if (light == nullptr)
-    light = std::make_shared<BodyLight>(body_light(
-        many ? stage_environment(at.lights, kEnvironmentSize)
-             : cubemap_from_equirectangular(read_environment(at.environment), kEnvironmentSize)));
+  if (light != nullptr) return light;
+  const bool table = settings_.environment_bands == "table";
+  BodyLight found;
+  if (many(at) && groups > 1) {
+    // By lamps, as their irradiance is.
+    for (const PointLights& part : group_points(points(at), groups))
+      found.groups.push_back(body_light(stage_environment(part, kEnvironmentSize), table));
+  } else {
+    const Cubemap radiance =
+        many(at) ? stage_environment(at.lights, kEnvironmentSize) : environment(at);
+    found = groups == 1 ? body_light(radiance, table) : body_light_groups(radiance, groups, table);
+  }
+  light = std::make_shared<BodyLight>(std::move(found));
   return light;
 }
 
@@ -92,7 +129,9 @@ std::vector<float> StageMoments::mean_irradiance(const std::vector<int>& frames)
   for (size_t k = 0; k < count; ++k) {
     const StageMoment at = source_.moment(frames[k * frames.size() / count]);
     const std::vector<float>& picture = irradiance(at, at);
-    for (size_t i = 0; i < mean.size(); ++i) mean[i] += picture[i] / static_cast<float>(count);
+    const size_t pictures = picture.size() / mean.size();
+    for (size_t i = 0; i < picture.size(); ++i)
+      mean[i % mean.size()] += picture[i] / static_cast<float>(count * pictures);
   }
   return mean;
 }

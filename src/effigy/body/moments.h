@@ -26,7 +26,7 @@ class StageMoments {
 
   BodyMoment moment(const StageMoment& at) const;
   // Irradiance picture in the light of a frame (its own, or another's), found when it is first
-  // asked for; empty without a shadow network.
+  // asked for, one for each part of the light; empty without a shadow network.
   const std::vector<float>& irradiance(const StageMoment& at, const StageMoment& lit_as);
   // Shared by frames with the same environment.
   std::shared_ptr<const BodyLight> light(const StageMoment& at);
@@ -39,6 +39,10 @@ class StageMoments {
 
  private:
   PointLights points(const StageMoment& at) const;
+  // Lit by so many lamps that they count as an environment.
+  bool many(const StageMoment& at) const;
+  std::vector<float> irradiance_of(const TexelFrames& frames, const StageMoment& at,
+                                   const StageMoment& lit_as);
 
   const StageSource& source_;
   const UvTexels& texels_;
@@ -47,7 +51,8 @@ class StageMoments {
   std::unique_ptr<RayScene> rays_;
   std::map<std::pair<int, int>, std::vector<float>> found_;  // irradiance by frame and light
   std::map<std::string, std::shared_ptr<const BodyLight>> environments_;
-  std::map<std::string, std::shared_ptr<const EnvironmentSampler>> samplers_;
+  // One for each part of an environment.
+  std::map<std::string, std::vector<EnvironmentSampler>> samplers_;
 };
 
 }  // namespace effigy

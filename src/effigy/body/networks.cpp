@@ -2,6 +2,7 @@
 
 #include <ATen/TensorOperators.h>
 #include <ATen/core/grad_mode.h>
+#include <ATen/ops/cat.h>
 #include <ATen/ops/empty.h>
 #include <ATen/ops/from_blob.h>
 #include <ATen/ops/tensor.h>
@@ -188,14 +189,19 @@ std::span<const float> BodyNetworks::visibility(std::span<const float> direction
 
 std::span<const float> BodyNetworks::shadow(std::span<const float> irradiance) {
   State& s = *state_;
-  EFFIGY_CHECK_EQ(irradiance.size(), s.mean_irradiance.size());
+  const size_t size = s.mean_irradiance.size(), pictures = irradiance.size() / size;
+  EFFIGY_CHECK(pictures >= 1 && irradiance.size() == pictures * size);
   use_torch_threads(kTorchThreads);
   const at::AutoGradMode mode(s.training);
-  at::Tensor x =
-      at::empty({s.settings.shadow_side, s.settings.shadow_side, 1}, at::ScalarType::Float);
-  for (size_t i = 0; i < irradiance.size(); ++i)
-    x.data_ptr<float>()[i] = irradiance[i] - s.mean_irradiance[i];
-  s.shadow = gather_pixels(s.modules.shadow(x), s.pixels);
+  std::vector<at::Tensor> shadows;
+  for (size_t k = 0; k < pictures; ++k) {
+    at::Tensor x =
+        at::empty({s.settings.shadow_side, s.settings.shadow_side, 1}, at::ScalarType::Float);
+    for (size_t i = 0; i < size; ++i)
+      x.data_ptr<float>()[i] = irradiance[k * size + i] - s.mean_irradiance[i];
+    shadows.push_back(gather_pixels(s.modules.shadow(x), s.pixels));
+  }
+  s.shadow = pictures == 1 ? shadows.front() : at::cat(shadows, 0);
   return values_of(s.shadow);
 }
 

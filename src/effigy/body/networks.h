@@ -61,7 +61,8 @@ class BodyNetworks {
   // frames, [texels][3] -> specular visibility in (0, 1), [texels]. Directions get no gradient.
   std::span<const float> visibility(std::span<const float> directions);
   // Shadow network: normalised irradiance in [0, 1], [shadow_side][shadow_side], row 0 = top
-  // -> shadow in (0, 1), 1 = lit, [texels].
+  // -> shadow in (0, 1), 1 = lit, [texels]; several pictures one after the other give as many
+  // shadows.
   std::span<const float> shadow(std::span<const float> irradiance);
 
   // Adds the gradients of all parameters from those of the last results (an empty span: no

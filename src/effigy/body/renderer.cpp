@@ -7,6 +7,7 @@
 #include "effigy/body/losses.h"
 #include "effigy/body/trainer.h"
 #include "effigy/image/colour.h"
+#include "effigy/light/light_groups.h"
 #include "effigy/report/overlay.h"
 
 namespace effigy {
@@ -16,9 +17,43 @@ struct Buffer {
   const char* name;
   int first, count;
 };
-constexpr Buffer kBuffers[] = {{"diffuse", kBodyDiffuse, 3},     {"normal", kBodyNormal, 3},
-                               {"roughness", kBodyRoughness, 1}, {"visibility", kBodyVisibility, 1},
-                               {"shadow", kBodyShadow, 1},       {"depth", kBodyDepth, 1}};
+constexpr Buffer kBuffers[] = {{"normal", kBodyNormal, 3},
+                               {"roughness", kBodyRoughness, 1},
+                               {"visibility", kBodyVisibility, 1},
+                               {"depth", kBodyDepth, 1}};
+
+struct DiffusePlanes {
+  Planes bare, shadowed, shadow;
+};
+// Diffuse light of all groups, without and with their shadows, and the shadow that they have
+// together: each counts as much as it gives. Divided by alpha.
+DiffusePlanes diffuse_planes(const BodyPicture& picture) {
+  const Planes& channels = picture.channels();
+  const int width = channels.width, height = channels.height;
+  DiffusePlanes sum{Planes(width, height, 3), Planes(width, height, 3), Planes(width, height, 1)};
+  std::vector<float> given(channels.pixels());
+  for (size_t g = 0; g < picture.groups(); ++g) {
+    const BodyGroupChannels at = picture.channels_of(g);
+    for (size_t p = 0; p < channels.pixels(); ++p) {
+      const float a = std::max(channels.plane(0)[p], 1e-3f);
+      const float shadow = channels.plane(1 + at.shadow)[p] / a;
+      float rgb[3];
+      for (int c = 0; c < 3; ++c) {
+        rgb[c] = channels.plane(1 + at.diffuse + c)[p] / a;
+        sum.bare.plane(c)[p] += rgb[c];
+        sum.shadowed.plane(c)[p] += rgb[c] * shadow;
+      }
+      // One group has its shadow also where it gives no light.
+      const float weight =
+          picture.groups() == 1 ? 1.0f : std::max(luminance(rgb[0], rgb[1], rgb[2]), 0.0f);
+      sum.shadow.plane(0)[p] += weight * shadow;
+      given[p] += weight;
+    }
+  }
+  for (size_t p = 0; p < given.size(); ++p)
+    sum.shadow.plane(0)[p] = given[p] > 0 ? sum.shadow.plane(0)[p] / given[p] : 0.0f;
+  return sum;
+}
 
 // Planes of a buffer, divided by alpha.
 Planes buffer_planes(const BodyPicture& picture, const std::string& name) {
@@ -29,16 +64,15 @@ Planes buffer_planes(const BodyPicture& picture, const std::string& name) {
     std::copy_n(alpha, out.pixels(), out.plane(0));
     return out;
   }
-  if (name == "specular") {  // what is left of the picture without its diffuse part
-    Planes out(channels.width, channels.height, 3);
-    const float* shadow = channels.plane(1 + kBodyShadow);
+  if (name == "diffuse" || name == "specular" || name == "shadow") {
+    DiffusePlanes diffuse = diffuse_planes(picture);
+    if (name == "diffuse") return std::move(diffuse.bare);
+    if (name == "shadow") return std::move(diffuse.shadow);
+    Planes out(channels.width, channels.height, 3);  // what is left without the diffuse part
     for (int c = 0; c < 3; ++c)
-      for (size_t p = 0; p < out.pixels(); ++p) {
-        const float a = std::max(alpha[p], 1e-3f);
-        out.plane(c)[p] = (picture.radiance().plane(c)[p] -
-                           channels.plane(1 + kBodyDiffuse + c)[p] * shadow[p] / a) /
-                          a;
-      }
+      for (size_t p = 0; p < out.pixels(); ++p)
+        out.plane(c)[p] = picture.radiance().plane(c)[p] / std::max(alpha[p], 1e-3f) -
+                          diffuse.shadowed.plane(c)[p];
     return out;
   }
   for (const Buffer& buffer : kBuffers) {
@@ -94,13 +128,20 @@ void BodyRenderer::set_pose(const RigPose& pose) {
 }
 
 void BodyRenderer::set_points(PointLights points) {
-  light_ = body_light(std::move(points));
+  points_ = std::move(points);
+  light_ = groups() == 1 ? body_light(points_) : body_light_groups(points_, groups());
   environment_.reset();
+  parts_.clear();
   shadow_stale_ = true;
 }
 
 void BodyRenderer::set_environment(const Cubemap& radiance) {
-  light_ = body_light(radiance);
+  const bool table = avatar_.settings.environment_bands == "table";
+  light_ =
+      groups() == 1 ? body_light(radiance, table) : body_light_groups(radiance, groups(), table);
+  parts_.clear();
+  for (const Cubemap& part : group_environment(radiance, groups()))
+    parts_.emplace_back(part, EnvironmentDraw::kLuminance);
   environment_ = std::make_unique<EnvironmentSampler>(radiance, EnvironmentDraw::kLuminance);
   shadow_stale_ = true;
 }
@@ -112,9 +153,16 @@ void BodyRenderer::find_shadow() {
   const TexelFrames frames =
       texel_frames(avatar_.model.shadow_texels(), moment_.vertices, avatar_.rig.mesh.triangles);
   const IrradianceSampling sampling{samples_, avatar_.settings.seed};
-  avatar_.model.light(environment_
-                          ? irradiance_.of_environment(frames, *rays_, *environment_, sampling)
-                          : irradiance_.of_points(frames, *rays_, light_.points, sampling));
+  std::vector<float> pictures;
+  const auto add = [&](const std::vector<float>& picture) {
+    pictures.insert(pictures.end(), picture.begin(), picture.end());
+  };
+  for (const EnvironmentSampler& part : parts_)
+    add(irradiance_.of_environment(frames, *rays_, part, sampling));
+  if (parts_.empty())
+    for (const BodyLight& part : light_.parts())
+      add(irradiance_.of_points(frames, *rays_, part.points, sampling));
+  avatar_.model.light(pictures);
 }
 
 const Planes& BodyRenderer::draw(const Camera& camera, const std::array<float, 3>& background) {
@@ -131,7 +179,7 @@ const Planes& BodyRenderer::draw(const Camera& camera, const std::array<float, 3
                   linear_from_srgb(background[static_cast<size_t>(c)]));
     if (ground_) {
       const Planes share = environment_ ? ground_shadow(camera, *ground_, *rays_, *environment_, {})
-                                        : ground_shadow(camera, *ground_, *rays_, light_.points);
+                                        : ground_shadow(camera, *ground_, *rays_, points_);
       for (size_t i = 0; i < share.data.size(); ++i) target.background.data[i] *= share.data[i];
     }
   }

@@ -38,13 +38,17 @@ class BodyRenderer {
 
  private:
   void find_shadow();
+  // Of lights that have a shadow of their own.
+  int groups() const { return avatar_.settings.shadow ? avatar_.settings.shadow_groups : 1; }
 
   BodyAvatar& avatar_;
   BodyDrawOptions options_;
   int samples_;
   BodyMoment moment_;
+  PointLights points_;  // when there is no environment
   BodyLight light_;
   std::unique_ptr<EnvironmentSampler> environment_;
+  std::vector<EnvironmentSampler> parts_;  // of it: one for each part of light_
   TexelIrradiance irradiance_;
   std::unique_ptr<RayScene> rays_;
   std::optional<float> ground_;

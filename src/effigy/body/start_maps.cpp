@@ -48,10 +48,16 @@ std::vector<float> shade_of(const BodyModel& model, const BodyLight& light) {
   for (size_t l = 0; l < kZonalBands; ++l)
     for (size_t c = 0; c < (l < kZonalColourBands ? 3u : 1u); ++c)
       std::fill_n(&lambert[zonal_index(2, l, c) * n], n, static_cast<float>(lambert_zonal()[l]));
-  shade_diffuse({light.points, light.sh}, {n, surface.placed.axes, position, lambert}, shade);
-  if (!surface.shadow.empty())
+  std::vector<float> given(3 * n);
+  for (size_t g = 0; g < light.parts().size(); ++g) {
+    const BodyLight& part = light.parts()[g];
+    shade_diffuse({part.points, part.sh, part.bands.get()},
+                  {n, surface.placed.axes, position, lambert}, given);
     for (size_t c = 0; c < 3; ++c)
-      for (size_t i = 0; i < n; ++i) shade[c * n + i] *= surface.shadow[i];
+      for (size_t i = 0; i < n; ++i)
+        shade[c * n + i] +=
+            given[c * n + i] * (surface.shadow.empty() ? 1.0f : surface.shadow[g * n + i]);
+  }
   return shade;
 }
 

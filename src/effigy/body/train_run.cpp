@@ -23,7 +23,10 @@ class BodyTrainRun {
  public:
   BodyTrainRun(const StageCapture& capture, const BodyTrainSettings& settings, const Path& out,
                const BodyTrainOptions& options)
-      : capture_(capture), out_(out), options_(options), trainer_(capture, settings, options.perceptual) {
+      : capture_(capture),
+        out_(out),
+        options_(options),
+        trainer_(capture, settings, options.perceptual) {
     if (std::filesystem::exists(out) && !std::filesystem::is_directory(out))
       throw Error("Cannot write " + out.string() +
                   ": a file of that name is in the way; choose another -o.");

@@ -54,6 +54,9 @@ constexpr auto kList = [](auto& s, auto&& visit) {
   visit("appearance", s.appearance);
   visit("normals", s.normals);
   visit("shadow_samples", s.shadow_samples);
+  visit("shadow_groups", s.shadow_groups);
+  visit("environment_bands", s.environment_bands);
+  visit("backgrounds", s.backgrounds);
   visit("environment_from", s.environment_from);
   visit("falloff", s.falloff);
   visit("camera_gains", s.camera_gains);
@@ -89,11 +92,15 @@ void check(const BodyTrainSettings& s, const std::string& name) {
   require(s.perceptual == "none" || s.perceptual == "vgg" || s.perceptual == "alex" ||
               s.perceptual == "squeeze" || s.perceptual == "squeezenet10",
           "perceptual must be none, vgg, alex, squeeze or squeezenet10");
-  require(s.appearance == "zonal" || s.appearance == "sh" || s.appearance == "pbr",
-          "appearance must be zonal, sh or pbr");
+  require(s.appearance == "zonal" || s.appearance == "sh" || s.appearance == "sh_turned" ||
+              s.appearance == "pbr",
+          "appearance must be zonal, sh, sh_turned or pbr");
   require(s.appearance != "pbr" || s.deferred, "appearance pbr is deferred; leave deferred true");
   require(s.normals == "gaussian" || s.normals == "mesh", "normals must be gaussian or mesh");
   require(s.shadow_samples >= 1 && s.shadow_samples <= 65536, "shadow_samples must be 1 to 65536");
+  require(s.shadow_groups >= 1 && s.shadow_groups <= 32, "shadow_groups must be 1 to 32");
+  require(s.environment_bands == "polynomials" || s.environment_bands == "table",
+          "environment_bands must be polynomials or table");
   require(s.environment_from >= 1, "environment_from must be at least 1");
   require(s.evaluate_every >= 0 && s.checkpoint_every >= 1,
           "evaluate_every must not be negative and checkpoint_every at least 1");
@@ -128,6 +135,7 @@ void BodyTrainSettings::make_paper_literal() {
   normal_anneal = 0.067;
   sg_norm = "code";
   environment_from = 100'000;
+  backgrounds = false;
   camera_gains = false;
   clip_gradient = 0;
   explosion = 0;

@@ -62,16 +62,23 @@ struct BodyTrainSettings {
   // Network of the perceptual term: "none", LPIPS by "vgg", "alex" or "squeeze", or "squeezenet10"
   // (infer/perceptual.h).
   std::string perceptual = "none";
-  bool deferred = true;              // specular light per pixel; else per Gaussian
-  bool shadow = true;                // the shadow network
-  std::string appearance = "zonal";  // or the paper's baselines "sh" and "pbr" (body/draw.h)
+  bool deferred = true;  // specular light per pixel; else per Gaussian
+  bool shadow = true;    // the shadow network
+  // Or the paper's baselines "sh" and "pbr", or "sh_turned" (body/draw.h).
+  std::string appearance = "zonal";
   std::string normals = "gaussian";  // of specular light: "gaussian" (Eq. 10) or "mesh"
   int shadow_samples = 16;           // rays a texel for irradiance
-  int environment_from = 65;         // lights from which a frame counts as lit by an environment
-  bool falloff = true;               // light falls with the distance's square
-  bool camera_gains = true;          // a gain and an offset per camera, the first one fixed
-  bool start_from_frames = true;     // albedo from the frames' colours; else 0.5
-  int evaluate_every = 1000;         // held-out PSNR in the progress line; 0: never
+  // Groups of lights that have shadows of their own (light/light_groups.h); the paper has one
+  // shadow for all, which loses that light adds up.
+  int shadow_groups = 1;
+  int environment_from = 65;  // lights from which a frame counts as lit by an environment
+  // Diffuse light of environments: "polynomials" of its harmonics, or a "table" of their bands.
+  std::string environment_bands = "polynomials";
+  bool backgrounds = true;   // fully lit frames over the cameras' background photographs, if any
+  bool falloff = true;       // light falls with the distance's square
+  bool camera_gains = true;  // a gain and an offset per camera, the first one fixed
+  bool start_from_frames = true;  // albedo from the frames' colours; else 0.5
+  int evaluate_every = 1000;      // held-out PSNR in the progress line; 0: never
   int checkpoint_every = 500;
   uint64_t seed = 1;
 

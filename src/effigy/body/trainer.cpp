@@ -97,6 +97,7 @@ BodyTrainer::State::State(const StageCapture& capture_in, const BodyTrainSetting
 
 void BodyTrainer::State::prepare_model() {
   model.set_mesh_normals(settings.normals == "mesh");
+  if (settings.appearance == "sh_turned") model.set_turned_harmonics();
   model.networks().set_training(true);
 }
 
@@ -161,7 +162,7 @@ void BodyTrainer::State::draw_view(BodyLossValues& mean) {
   const CameraColour& colour = colours[static_cast<size_t>(camera)];
   BodyLossValues values = body_image_losses(settings, target, colour, picture, d_image, perceptual);
   const size_t n = surface.count();
-  d_surface.clear(n, transfer_coefficients(options.appearance));
+  d_surface.clear(n, transfer_coefficients(options.appearance), light->parts().size());
   d_decoded.assign(model.decoded().size(), 0.0f);
   d_diffuse.assign(3 * n, 0.0f);
   values.merge(body_texel_losses(settings, normal_weight(), model.decoded(), surface,

@@ -191,7 +191,8 @@ struct PerceptualDistance::State {
         sum += tap_distance(of_a[tap], of_b[tap], head(tap), weight,
                             d_a != nullptr ? &d_taps[tap] : nullptr);
       if (d_a != nullptr) {
-        use_torch_threads(thread_count());
+        // Threads of libtorch wait by spinning; where cores are shared they cost more than they give.
+        use_torch_threads(1);
         torch::autograd::backward(of_a, d_taps);
         *d_a = x_of_a.grad().contiguous();
       }

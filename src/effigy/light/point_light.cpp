@@ -1,5 +1,9 @@
 #include "effigy/light/point_light.h"
 
+#include <cmath>
+#include <numbers>
+
+#include "effigy/base/error.h"
 #include "effigy/base/threads.h"
 #include "effigy/light/zonal.h"
 
@@ -15,7 +19,46 @@ void add_sh(const Vec3d& direction, const Vec3d& rgb, double* sh) {
   });
 }
 
+// Node k of Gauss' quadrature over [-1, 1] with kNodes nodes, and its weight.
+constexpr int kNodes = kZonalOrder + 1, kAngles = 2 * kZonalOrder + 1;
+Vec2d gauss_node(int k) {
+  double x = std::cos(std::numbers::pi * (k + 0.75) / (kNodes + 0.5)), slope = 1;
+  for (int round = 0; round < 8; ++round) {  // Newton on P_kNodes
+    double p = 1, before = 0;
+    for (int l = 0; l < kNodes; ++l) {
+      const double next = ((2 * l + 1) * x * p - l * before) / (l + 1);
+      before = p;
+      p = next;
+    }
+    slope = kNodes * (x * p - before) / (x * x - 1);
+    x -= p / slope;
+  }
+  return {x, 2 / ((1 - x * x) * slope * slope)};
+}
+
 }  // namespace
+
+PointLights sh_lamps(std::span<const float> sh) {
+  EFFIGY_CHECK_EQ(sh.size(), 3 * kCount);
+  PointLights lamps;
+  for (int k = 0; k < kNodes; ++k) {
+    const Vec2d node = gauss_node(k);
+    const double around = std::sqrt(1 - node.x() * node.x());
+    for (int j = 0; j < kAngles; ++j) {
+      const double angle = 2 * std::numbers::pi * j / kAngles;
+      const Vec3d direction(around * std::cos(angle), around * std::sin(angle), node.x());
+      Vec3d radiance = Vec3d::Zero();
+      for_each_sh(kZonalOrder, direction.data(), [&](int l, int m, double value, const double*) {
+        for (int c = 0; c < 3; ++c)
+          radiance[c] +=
+              value * static_cast<double>(sh[static_cast<size_t>(3 * (l * l + l + m) + c)]);
+      });
+      const double share = 2 * std::numbers::pi / kAngles * node.y();
+      lamps.lights.push_back({direction.cast<float>(), (share * radiance).cast<float>(), true});
+    }
+  }
+  return lamps;
+}
 
 std::vector<float> sh_of_points(const PointLights& points, const Vec3f& from) {
   std::vector<double> sh(3 * kCount, 0.0);

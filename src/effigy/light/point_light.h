@@ -1,6 +1,7 @@
 // Lights that are points or directions.
 #pragma once
 
+#include <span>
 #include <vector>
 
 #include "effigy/geometry/types.h"
@@ -29,5 +30,9 @@ struct PointLights {
 // I is a texel of radiance times solid angle I.
 std::vector<float> sh_of_points(const PointLights& points, const Vec3f& from);
 std::vector<float> sh_of_cubemap(const Cubemap& radiance);
+// The other way round: 153 far lamps, some of negative intensity, that have these harmonics. What
+// they give to a function of order kZonalOrder is exactly what the light gives it (quadrature of
+// Gauss and Legendre over z, even over the angle about it).
+PointLights sh_lamps(std::span<const float> sh);
 
 }  // namespace effigy

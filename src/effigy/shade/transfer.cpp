@@ -175,6 +175,18 @@ template <class Term>
                });
 }
 
+[[gnu::always_inline]] inline void look_up_band_light(const Lane* axis, size_t count,
+                                                      const BandTable& bands, BandLight& e) {
+  float numbers[BandTable::kNumbers];
+  for (size_t i = 0; i < count; ++i) {
+    bands.look_up(axis[0][i], axis[1][i], axis[2][i], numbers);
+    for (size_t l = 0; l < kZonalBands; ++l)
+      for (size_t ch = 0; ch < 3; ++ch) e.rgb[l][ch][i] = numbers[3 * l + ch];
+  }
+  for (auto& band : e.rgb)
+    for (auto& channel : band) std::fill(channel + count, channel + kBlock, 0.0f);
+}
+
 struct DiffuseBlock {
   Lane axes[9], position[3], zonal[kZonalCoefficients];
 };
@@ -227,7 +239,10 @@ void diffuse_range(const DiffuseLight& light, const TransferView& view, size_t b
       }
     }
     for (size_t axis = 0; axis < 3 && !light.sh.empty(); ++axis) {
-      find_band_light(block.axes + 3 * axis, light.sh.data(), e);
+      if (light.bands != nullptr)
+        look_up_band_light(block.axes + 3 * axis, count, *light.bands, e);
+      else
+        find_band_light(block.axes + 3 * axis, light.sh.data(), e);
       for (size_t l = 0; l < kZonalBands; ++l)
         for (size_t ch = 0; ch < 3; ++ch) {
           const float* z = block.zonal[zonal_index(axis, l, ch)];

@@ -15,6 +15,7 @@
 #include <span>
 #include <vector>
 
+#include "effigy/light/band_table.h"
 #include "effigy/light/lobe_environment.h"
 #include "effigy/light/point_light.h"
 #include "effigy/light/spherical_gaussian.h"
@@ -36,6 +37,9 @@ constexpr size_t zonal_index(size_t axis, size_t band, size_t channel) {
 struct DiffuseLight {
   PointLights points;
   std::vector<float> sh;  // sh_of_cubemap of an environment, or empty
+  // Of the same environment: then colours are looked up in it instead of found from `sh`. Their
+  // derivatives are always those of `sh`.
+  const BandTable* bands = nullptr;
 };
 
 struct TransferView {
