@@ -4,9 +4,41 @@
 #include <ATen/Parallel.h>
 #include <ATen/ops/conv2d.h>
 #include <ATen/ops/mkldnn_convolution.h>
+#include <ATen/ops/zeros.h>
 #include <dlfcn.h>
+#include <torch/csrc/autograd/custom_function.h>
 
 namespace effigy {
+namespace {
+
+using torch::autograd::AutogradContext;
+using torch::autograd::Variable;
+using torch::autograd::variable_list;
+
+struct FrozenConvolution : torch::autograd::Function<FrozenConvolution> {
+  static Variable forward(AutogradContext* context, const Variable& x, const at::Tensor& weight,
+                          const at::Tensor& bias, int64_t padding) {
+    context->save_for_backward({weight});
+    context->saved_data["padding"] = padding;
+    return convolve(x, weight, bias, {1, 1}, {padding, padding}, {1, 1}, 1);
+  }
+  // Of a correlation: the correlation with the kernel turned round, from outputs to inputs.
+  static variable_list backward(AutogradContext* context, const variable_list& d_out) {
+    const at::Tensor weight = context->get_saved_variables()[0];
+    const int64_t padding = weight.size(2) - 1 - context->saved_data["padding"].toInt();
+    const at::Tensor turned = weight.transpose(0, 1).flip({2, 3}).contiguous();
+    const at::Tensor none = at::zeros({turned.size(0)}, turned.scalar_type());
+    return {convolve(d_out[0].contiguous(), turned, none, {1, 1}, {padding, padding}, {1, 1}, 1),
+            Variable(), Variable(), Variable()};
+  }
+};
+
+}  // namespace
+
+at::Tensor convolve_frozen(const at::Tensor& x, const at::Tensor& weight, const at::Tensor& bias,
+                           int64_t padding) {
+  return FrozenConvolution::apply(x, weight, bias, padding);
+}
 
 // libtorch gives single-threaded 1x1 convolutions to its BLAS, which is two to three times slower
 // than oneDNN on large pictures and starts threads of its own; on tiny ones it is the faster.

@@ -13,6 +13,11 @@ at::Tensor convolve(const at::Tensor& x, const at::Tensor& weight, const at::Ten
                     const std::array<int64_t, 2>& stride, const std::array<int64_t, 2>& padding,
                     const std::array<int64_t, 2>& dilation, int64_t groups);
 
+// The same for weights that are not trained: stride 1, odd kernels, their gradient by x alone, found
+// by a convolution too (libtorch's own would go by its BLAS).
+at::Tensor convolve_frozen(const at::Tensor& x, const at::Tensor& weight, const at::Tensor& bias,
+                           int64_t padding);
+
 // Threads that libtorch may use for work of the calling thread. Few: they would fight with ours.
 void use_torch_threads(int count);
 

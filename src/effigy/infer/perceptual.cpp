@@ -54,19 +54,16 @@ at::Tensor network_input(const Image& image, const InputMap& map) {
   return x;
 }
 
-// 1 / (|f| + guard) of every pixel.
-std::vector<double> inverse_norms(const at::Tensor& f) {
-  const auto channels = static_cast<size_t>(f.size(1));
-  const auto pixels = static_cast<size_t>(f.size(2) * f.size(3));
-  const float* p = f.data_ptr<float>();
-  std::vector<double> inverse(pixels, 0.0);
+// 1 / (|f| + guard) of pixels [begin, end).
+void inverse_norms(const float* f, size_t channels, size_t pixels, size_t begin, size_t end,
+                   std::vector<double>& inverse) {
+  inverse.assign(end - begin, 0.0);
   for (size_t c = 0; c < channels; ++c)
-    for (size_t i = 0; i < pixels; ++i) {
-      const double v = static_cast<double>(p[c * pixels + i]);
-      inverse[i] += v * v;
+    for (size_t i = begin; i < end; ++i) {
+      const double v = static_cast<double>(f[c * pixels + i]);
+      inverse[i - begin] += v * v;
     }
   for (double& value : inverse) value = 1 / (std::sqrt(value) + kNormGuard);
-  return inverse;
 }
 
 // mean over pixels of sum_c w_c (n(a)_c - n(b)_c)^2; no weights: all are 1. `d_a`, when not null,
@@ -77,38 +74,49 @@ double tap_distance(const at::Tensor& a, const at::Tensor& b, const std::vector<
   const auto pixels = static_cast<size_t>(a.size(2) * a.size(3));
   const float* pa = a.data_ptr<float>();
   const float* pb = b.data_ptr<float>();
-  const std::vector<double> scale_a = inverse_norms(a), scale_b = inverse_norms(b);
   std::vector<double> sum(pixels, 0.0);
-  // sum_c of the derivative by n(a)_c times n(a)_c: what a's length takes away again.
-  std::vector<double> along(d_a != nullptr ? pixels : 0, 0.0);
   const double each = 2 * share / static_cast<double>(pixels);
   const auto weight_of = [&](size_t c) {
     return weights.empty() ? 1.0 : static_cast<double>(weights[c]);
   };
-  for (size_t c = 0; c < channels; ++c) {
-    const double weight = weight_of(c);
-    for (size_t i = 0; i < pixels; ++i) {
-      const double unit = static_cast<double>(pa[c * pixels + i]) * scale_a[i];
-      const double difference = unit - static_cast<double>(pb[c * pixels + i]) * scale_b[i];
-      sum[i] += weight * difference * difference;
-      if (d_a != nullptr) along[i] += each * weight * difference * unit;
-    }
-  }
+  float* out = nullptr;
   if (d_a != nullptr) {
     *d_a = at::empty(a.sizes(), at::kFloat);
-    float* out = d_a->data_ptr<float>();
+    out = d_a->data_ptr<float>();
+  }
+  parallel_for(pixels, 64, [&](size_t begin, size_t end, int) {
+    std::vector<double> scale_a, scale_b;
+    inverse_norms(pa, channels, pixels, begin, end, scale_a);
+    inverse_norms(pb, channels, pixels, begin, end, scale_b);
+    // sum_c of the derivative by n(a)_c times n(a)_c: what a's length takes away again.
+    std::vector<double> along(end - begin, 0.0);
     for (size_t c = 0; c < channels; ++c) {
-      const double weight = each * weight_of(c);
-      for (size_t i = 0; i < pixels; ++i) {
-        const double length = 1 / scale_a[i] - kNormGuard, value = pa[c * pixels + i];
-        const double difference = value * scale_a[i] - pb[c * pixels + i] * scale_b[i];
-        out[c * pixels + i] =
-            length > 0
-                ? static_cast<float>(scale_a[i] * (weight * difference - along[i] * value / length))
-                : 0.0f;
+      const double weight = weight_of(c);
+      for (size_t i = begin; i < end; ++i) {
+        const double unit = static_cast<double>(pa[c * pixels + i]) * scale_a[i - begin];
+        const double difference =
+            unit - static_cast<double>(pb[c * pixels + i]) * scale_b[i - begin];
+        sum[i] += weight * difference * difference;
+        along[i - begin] += each * weight * difference * unit;
       }
     }
-  }
+    if (out == nullptr) return;
+    for (size_t i = begin; i < end; ++i) {  // over |a|
+      const double length = 1 / scale_a[i - begin] - kNormGuard;
+      along[i - begin] = length > 0 ? along[i - begin] / length : 0.0;
+      if (!(length > 0)) scale_a[i - begin] = 0;
+    }
+    for (size_t c = 0; c < channels; ++c) {
+      const double weight = each * weight_of(c);
+      for (size_t i = begin; i < end; ++i) {
+        const double value = static_cast<double>(pa[c * pixels + i]), scale = scale_a[i - begin];
+        const double difference =
+            value * scale - static_cast<double>(pb[c * pixels + i]) * scale_b[i - begin];
+        out[c * pixels + i] =
+            static_cast<float>(scale * (weight * difference - along[i - begin] * value));
+      }
+    }
+  });
   double total = 0;
   for (const double value : sum) total += value;
   return total / static_cast<double>(pixels);
@@ -191,7 +199,8 @@ struct PerceptualDistance::State {
         sum += tap_distance(of_a[tap], of_b[tap], head(tap), weight,
                             d_a != nullptr ? &d_taps[tap] : nullptr);
       if (d_a != nullptr) {
-        // Threads of libtorch wait by spinning; where cores are shared they cost more than they give.
+        // Threads of libtorch wait by spinning; where cores are shared they cost more than they
+        // give.
         use_torch_threads(1);
         torch::autograd::backward(of_a, d_taps);
         *d_a = x_of_a.grad().contiguous();
