@@ -532,6 +532,26 @@ TEST(BodyDraw, SameBitsForEveryThreadCount) {
   EXPECT_EQ(one.second, three.second);
 }
 
+// Another camera on the same surface in the same light.
+TEST(BodyDraw, AgainIsAsIfFromTheBeginning) {
+  Ball ball;
+  const BodyLight light = body_light(two_lamps());
+  const Camera side = look_at(Vec3d(0.5, 0.1, 0.3), Vec3d::Zero(), 0.5, 40, 40);
+  for (const bool deferred : {true, false}) {
+    BodyDrawOptions options;
+    options.deferred = deferred;
+    BodyPicture once, again;
+    again.draw(front_camera(40), ball.surface, light, options);
+    const std::vector<float> front = again.radiance().data;
+    for (float& visible : ball.surface.visibility) visible *= 0.5f;
+    again.draw_again(side, ball.surface, light, options);
+    once.draw(side, ball.surface, light, options);
+    EXPECT_EQ(again.radiance().data, once.radiance().data);
+    EXPECT_EQ(again.channels().data, once.channels().data);
+    EXPECT_NE(again.radiance().data, front);
+  }
+}
+
 TEST(BodyDraw, NothingInView) {
   const Ball ball;
   Camera camera = look_at(Vec3d(0, 0, 3), Vec3d(0, 0, 9), 0.5, 24, 24);

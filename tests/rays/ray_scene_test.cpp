@@ -63,9 +63,7 @@ std::optional<Found> brute_force(const Soup& soup, const Vec3f& origin, const Ve
   return best;
 }
 
-TEST(RayScene, AgreesWithBruteForce) {
-  const Soup soup = random_soup(300, 1);
-  const RayScene scene(soup.vertices, soup.triangles);
+void expect_brute_force(const RayScene& scene, const Soup& soup) {
   Random random(2);
   int hits = 0, misses = 0;
   for (int i = 0; i < 3000; ++i) {
@@ -89,6 +87,19 @@ TEST(RayScene, AgreesWithBruteForce) {
   }
   EXPECT_GT(hits, 300);
   EXPECT_GT(misses, 500);
+}
+
+TEST(RayScene, AgreesWithBruteForce) {
+  const Soup soup = random_soup(300, 1);
+  expect_brute_force(RayScene(soup.vertices, soup.triangles), soup);
+}
+
+TEST(RayScene, RefittedItAgreesWithBruteForce) {
+  const Soup first = random_soup(300, 7), second = random_soup(300, 1);
+  RayScene scene(first.vertices, first.triangles, RayUse::kMoving);
+  expect_brute_force(scene, first);
+  scene.move(second.vertices);
+  expect_brute_force(scene, second);
 }
 
 TEST(RayScene, MovesItsVertices) {

@@ -16,6 +16,7 @@ constexpr float kLeastAlpha = 1.0f / 255.0f;  // of a pixel that gets specular l
 constexpr float kLeastNormal = 1e-6f;         // length of a blended normal that means something
 constexpr float kNarrowest = 1e-3f;           // lobe
 constexpr size_t kGrain = 2048;
+constexpr size_t kStretch = 128;  // pixels that are left out together when all are empty
 
 constexpr int kDirectionsSize = 8;  // of the cubemap that stands for far lamps
 // Radiance times solid angle is kept.
@@ -174,6 +175,10 @@ struct BodyPicture::State {
 };
 
 namespace {
+
+bool all_zero(const float* values, size_t count) {
+  return std::all_of(values, values + count, [](float v) { return v == 0.0f; });
+}
 
 // 1 / alpha, or 1 where the paper's products are wanted.
 float over_alpha(float alpha, const BodyDrawOptions& options) {
@@ -372,7 +377,7 @@ void BodyPicture::State::compose(const BodyDrawOptions& options) {
   for (size_t g = 0; g < groups && !pbr; ++g) {
     const BodyGroupChannels at = channels_of(g);
     const float* shadow = image.plane(1 + at.shadow);
-    parallel_for(pixels, kGrain, [&](size_t begin, size_t end, int) {
+    const auto compose_stretch = [&](size_t begin, size_t end) {
       for (int c = 0; c < 3; ++c) {
         const float* colour = image.plane(1 + at.diffuse + c);
         const float* gloss = deferred ? nullptr : image.plane(1 + at.specular + c);
@@ -380,6 +385,12 @@ void BodyPicture::State::compose(const BodyDrawOptions& options) {
         for (size_t p = begin; p < end; ++p)
           out[p] += (colour[p] + (gloss != nullptr ? gloss[p] : 0.0f)) * shadow[p] *
                     over_alpha(alpha[p], options);
+      }
+    };
+    parallel_for(pixels, kGrain, [&](size_t begin, size_t end, int) {
+      for (size_t from = begin; from < end; from += kStretch) {
+        const size_t to = std::min(end, from + kStretch);
+        if (!all_zero(alpha + from, to - from)) compose_stretch(from, to);
       }
     });
   }
@@ -600,6 +611,13 @@ void BodyPicture::draw(const Camera& camera, const BodySurface& surface, const B
   s.deferred = options.deferred;
   EFFIGY_CHECK(surface.shadow.empty() || surface.shadow.size() == s.groups * surface.count());
   s.shade_texels(surface, light, options);
+  draw_again(camera, surface, light, options);
+}
+
+void BodyPicture::draw_again(const Camera& camera, const BodySurface& surface,
+                             const BodyLight& light, const BodyDrawOptions& options) {
+  State& s = *state_;
+  EFFIGY_CHECK_EQ(s.position.size(), 3 * surface.count());
   if (!options.deferred) {
     s.gather_texels(camera, surface);
     s.shade_lobes(light, options);

@@ -126,6 +126,10 @@ class BodyPicture {
 
   void draw(const Camera& camera, const BodySurface& surface, const BodyLight& light,
             const BodyDrawOptions& options);
+  // The same surface, but for its visibility, in the same light from another camera: what the last
+  // draw() found of diffuse light is kept.
+  void draw_again(const Camera& camera, const BodySurface& surface, const BodyLight& light,
+                  const BodyDrawOptions& options);
   // Adds the derivatives of the last draw with the same arguments.
   void backward(const Camera& camera, const BodySurface& surface, const BodyLight& light,
                 const BodyDrawOptions& options, const BodyPictureGradients& loss,

@@ -12,6 +12,7 @@ namespace {
 using Channels = GaussianChannels;
 // Vec4f: quaternions w x y z.
 constexpr size_t kGrain = 1024;
+constexpr size_t kLine = 16;  // floats
 constexpr size_t kZonal = Channels::kNormal - Channels::kColoured;
 
 // log(1 + e^x) and its inverse, without overflow, exact for small values.
@@ -129,9 +130,15 @@ void place_gaussians(const UvTexels& texels, const TexelFrames& frames,
           g.axes[(3 * axis + c) * count + i] =
               r(static_cast<Eigen::Index>(c), static_cast<Eigen::Index>(axis));
       for (size_t c = 0; c < 3; ++c) g.normal[c * count + i] = normal[static_cast<int>(c)];
-      for (size_t c = 0; c < transfer; ++c)
-        g.zonal[c * count + i] =
-            x[Channels::kColoured + c] + (transfer == kZonal ? start[c] : 0.0f);
+    }
+    // Texel by texel to plane by plane, a cache line of each plane at a time.
+    for (size_t first = begin; first < end; first += kLine) {
+      const size_t last = std::min(end, first + kLine);
+      for (size_t c = 0; c < transfer; ++c) {
+        const float from = transfer == kZonal ? start[c] : 0.0f;
+        for (size_t i = first; i < last; ++i)
+          g.zonal[c * count + i] = decoded[channels * i + Channels::kColoured + c] + from;
+      }
     }
   });
 }

@@ -120,11 +120,15 @@ BodyRenderer::BodyRenderer(BodyAvatar& avatar)
 void BodyRenderer::set_pose(const RigPose& pose) {
   moment_ = avatar_.driver.moment(pose);
   if (rays_ == nullptr)
-    rays_ = std::make_unique<RayScene>(moment_.vertices, avatar_.rig.mesh.triangles);
+    rays_ =
+        std::make_unique<RayScene>(moment_.vertices, avatar_.rig.mesh.triangles, RayUse::kMoving);
   else
     rays_->move(moment_.vertices);
   avatar_.model.pose(moment_);
+  shadow_frames_ =
+      texel_frames(avatar_.model.shadow_texels(), moment_.vertices, avatar_.rig.mesh.triangles);
   shadow_stale_ = true;
+  eye_.reset();
 }
 
 void BodyRenderer::set_points(PointLights points) {
@@ -150,25 +154,29 @@ void BodyRenderer::find_shadow() {
   if (!shadow_stale_) return;
   shadow_stale_ = false;
   if (!avatar_.settings.shadow) return avatar_.model.light({});
-  const TexelFrames frames =
-      texel_frames(avatar_.model.shadow_texels(), moment_.vertices, avatar_.rig.mesh.triangles);
   const IrradianceSampling sampling{samples_, avatar_.settings.seed};
   std::vector<float> pictures;
   const auto add = [&](const std::vector<float>& picture) {
     pictures.insert(pictures.end(), picture.begin(), picture.end());
   };
   for (const EnvironmentSampler& part : parts_)
-    add(irradiance_.of_environment(frames, *rays_, part, sampling));
+    add(irradiance_.of_environment(shadow_frames_, *rays_, part, sampling));
   if (parts_.empty())
     for (const BodyLight& part : light_.parts())
-      add(irradiance_.of_points(frames, *rays_, part.points, sampling));
+      add(irradiance_.of_points(shadow_frames_, *rays_, part.points, sampling));
   avatar_.model.light(pictures);
 }
 
 const Planes& BodyRenderer::draw(const Camera& camera, const std::array<float, 3>& background) {
+  const bool changed = shadow_stale_;  // since the last picture: pose or light
   find_shadow();
-  avatar_.model.look(camera.center().cast<float>());
-  picture_.draw(camera, avatar_.model.surface(), light_, options_);
+  const Vec3f eye = camera.center().cast<float>();
+  if (eye != eye_) avatar_.model.look(eye);
+  eye_ = eye;
+  if (changed)
+    picture_.draw(camera, avatar_.model.surface(), light_, options_);
+  else
+    picture_.draw_again(camera, avatar_.model.surface(), light_, options_);
   BodyTarget target;
   target.display = avatar_.display;
   const bool black = background[0] == 0 && background[1] == 0 && background[2] == 0;

@@ -45,6 +45,7 @@ class BodyRenderer {
   BodyDrawOptions options_;
   int samples_;
   BodyMoment moment_;
+  TexelFrames shadow_frames_;
   PointLights points_;  // when there is no environment
   BodyLight light_;
   std::unique_ptr<EnvironmentSampler> environment_;
@@ -53,6 +54,7 @@ class BodyRenderer {
   std::unique_ptr<RayScene> rays_;
   std::optional<float> ground_;
   bool shadow_stale_ = true;
+  std::optional<Vec3f> eye_;  // that the model has looked from in this pose
   BodyPicture picture_;
   Planes display_;
 };

@@ -38,6 +38,7 @@ struct RayScene::State {
   RTCGeometry geometry = nullptr;
   float* positions = nullptr;  // Embree's buffer
   size_t floats = 0;
+  bool refit = false;
 
   ~State() {
     if (geometry != nullptr) rtcReleaseGeometry(geometry);
@@ -45,7 +46,7 @@ struct RayScene::State {
   }
 };
 
-RayScene::RayScene(std::span<const float> vertices, const std::vector<Vec3i>& triangles)
+RayScene::RayScene(std::span<const float> vertices, const std::vector<Vec3i>& triangles, RayUse use)
     : state_(std::make_unique<State>()) {
   const int vertex_count = static_cast<int>(vertices.size() / 3);
   if (vertices.size() % 3 != 0)
@@ -59,7 +60,12 @@ RayScene::RayScene(std::span<const float> vertices, const std::vector<Vec3i>& tr
                     "; repair the mesh.");
   State& s = *state_;
   s.scene = rtcNewScene(device());
-  rtcSetSceneFlags(s.scene, RTC_SCENE_FLAG_ROBUST);
+  s.refit = use == RayUse::kMoving;
+  // Only a dynamic scene of low quality has a tree of its own for each geometry, which can be
+  // refitted.
+  rtcSetSceneFlags(
+      s.scene, s.refit ? RTC_SCENE_FLAG_ROBUST | RTC_SCENE_FLAG_DYNAMIC : RTC_SCENE_FLAG_ROBUST);
+  if (s.refit) rtcSetSceneBuildQuality(s.scene, RTC_BUILD_QUALITY_LOW);
   if (!triangles.empty()) {
     s.geometry = rtcNewGeometry(device(), RTC_GEOMETRY_TYPE_TRIANGLE);
     // Embree pads its own buffers, as its 16-byte loads need.
@@ -98,6 +104,7 @@ void RayScene::move(std::span<const float> vertices) {
   check_positions(vertices);
   std::memcpy(s.positions, vertices.data(), vertices.size() * sizeof(float));
   rtcUpdateGeometryBuffer(s.geometry, RTC_BUFFER_TYPE_VERTEX, 0);
+  if (s.refit) rtcSetGeometryBuildQuality(s.geometry, RTC_BUILD_QUALITY_REFIT);
   rtcCommitGeometry(s.geometry);
   rtcCommitScene(s.scene);
 }
