@@ -7,6 +7,7 @@
 
 #include "effigy/base/error.h"
 #include "effigy/base/simd.h"
+#include "effigy/base/threads.h"
 #include "effigy/rig/rig_kernels.h"
 
 namespace effigy {
@@ -218,13 +219,16 @@ void pose_vertices(const RigShape& shape, const RigPose& pose, std::vector<float
   const rig_detail::Chain chain = rig_detail::joint_chain(shape, pose);
   const std::vector<float> features = rig_detail::pose_features(shape, chain);
   vertices.resize(3 * count);
-  float shaped[3 * kBlock];
-  for (size_t begin = 0; begin < count; begin += kBlock) {
-    const size_t end = std::min(begin + kBlock, count);
-    rig_detail::shape_block(shape, pose, features, begin, end, shaped);
-    skin_block(shaped, shape.weights.data() + begin * joints, chain.matrices.data(), joints,
-               pose.translation.data(), vertices.data() + 3 * begin, end - begin);
-  }
+  constexpr size_t kBlocksTogether = 8;
+  parallel_for((count + kBlock - 1) / kBlock, kBlocksTogether, [&](size_t from, size_t to, int) {
+    float shaped[3 * kBlock];
+    for (size_t begin = from * kBlock; begin < std::min(to * kBlock, count); begin += kBlock) {
+      const size_t end = std::min(begin + kBlock, count);
+      rig_detail::shape_block(shape, pose, features, begin, end, shaped);
+      skin_block(shaped, shape.weights.data() + begin * joints, chain.matrices.data(), joints,
+                 pose.translation.data(), vertices.data() + 3 * begin, end - begin);
+    }
+  });
 }
 
 std::vector<float> joint_transforms(const RigShape& shape, const RigPose& pose) {
