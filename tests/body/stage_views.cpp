@@ -307,5 +307,36 @@ TEST(StageViews, BadNumbersAreNamed) {
   EXPECT_TRUE(contains(sentence, "body_keypoints") && contains(sentence, "not finite")) << sentence;
 }
 
+// A photograph of what is behind: with fully lit views of its camera alone, cropped as they are.
+TEST(StageSource, BackgroundsOfFullyLitViews) {
+  const test::ScratchFolder scratch;
+  StageCapture capture = write_stage(scratch.path());
+  capture.cameras[1].background = true;
+  Image8 behind(kWidth, kHeight, 3);
+  for (size_t i = 0; i < behind.data.size(); ++i) behind.data[i] = static_cast<uint8_t>(i % 251);
+  write_png8(scratch / stage_background_path("c1"), behind);
+  write_stage_capture(capture, scratch.path());
+  capture = read_stage_capture(scratch.path());
+  EXPECT_TRUE(capture.cameras[1].background);
+  EXPECT_FALSE(capture.cameras[0].background);
+  const StageSource source(capture);
+  EXPECT_TRUE(source.view({0, 0}, {0, 1, 0}).background.data.empty());
+  EXPECT_TRUE(source.view({1, 1}, {0, 1, 0}).background.data.empty());
+  StageView view = source.view({0, 1}, {0, 1, 0});
+  ASSERT_EQ(view.background.width, view.image.width);
+  ASSERT_EQ(view.background.height, view.image.height);
+  const uint8_t* corner = behind.at(view.left, view.top);
+  for (int c = 0; c < 3; ++c)
+    EXPECT_FLOAT_EQ(view.background.plane(c)[0],
+                    linear_from_srgb(static_cast<float>(corner[c]) / 255));
+  const Planes before = view.image;
+  put_on_black(view);
+  EXPECT_TRUE(view.background.data.empty());
+  for (size_t p = 0; p < view.mask.size(); ++p)
+    EXPECT_EQ(view.image.plane(1)[p], view.mask[p] * before.plane(1)[p]);
+  fs::remove(scratch / stage_background_path("c1"));
+  EXPECT_TRUE(contains(error_of([&] { source.view({0, 1}, {0, 1, 0}); }), "backgrounds"));
+}
+
 }  // namespace
 }  // namespace effigy

@@ -126,6 +126,36 @@ TEST(BodyTrainer, OtherWaysOfLight) {
   }
 }
 
+// Fully lit pictures before a bright wall: the avatar is drawn over it, or both are put on black;
+// on black before the wall it would be far off.
+TEST(BodyTrainer, BackgroundsAreBehindTheBody) {
+  const test::ScratchFolder scratch;
+  StageCapture capture = test::write_lit_ball(scratch.path(), 4, 32);
+  BodyTrainSettings settings = quick(1);
+  const auto score = [&] {
+    BodyTrainer trainer(capture, settings);
+    BodyViewer viewer(settings, trainer.model(), trainer.moments());
+    return score_of(viewer.draw({0, 1})).psnr;
+  };
+  const double on_black = score();
+  Image8 wall(32, 32, 3);
+  for (size_t i = 0; i < wall.data.size(); ++i) wall.data[i] = static_cast<uint8_t>(90 + i % 60);
+  capture.cameras[1].background = true;
+  write_png8(scratch / stage_background_path("cam1"), wall);
+  Image8 image = capture.load_image(1, 0);
+  const Image8 mask = capture.load_mask(1, 0);
+  for (size_t p = 0; p < mask.data.size(); ++p)
+    for (size_t c = 0; c < 3; ++c)
+      if (mask.data[p] == 0) image.data[3 * p + c] = wall.data[3 * p + c];
+  write_png8(scratch / stage_image_path("cam1", 0), image);
+  EXPECT_GT(score(), on_black - 1);
+  capture.cameras[1].background = false;
+  EXPECT_LT(score(), on_black - 3);
+  capture.cameras[1].background = true;
+  settings.backgrounds = false;
+  EXPECT_NEAR(score(), on_black, 1e-9);
+}
+
 TEST(BodyTrainer, CheckpointsOfOthersAreRefused) {
   const test::ScratchFolder scratch;
   const StageCapture capture = test::write_lit_ball(scratch / "capture", 4, 32);

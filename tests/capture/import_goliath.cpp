@@ -180,6 +180,27 @@ TEST_F(GoliathLayout, BecomesACapture) {
   EXPECT_NEAR(c.frames[2].lights[0].second, 2777.0 / 5555, 1e-6);
 }
 
+// Where there is a photograph of what is behind, fully lit pictures keep it; others are on black.
+TEST_F(GoliathLayout, BackgroundsOfFullyLitFrames) {
+  Image8 behind(kWidth, kHeight, 3);
+  std::fill(behind.data.begin(), behind.data.end(), uint8_t{52});
+  test::write_zip(source() / "per_view_background" / "per_view_background.zip",
+                  {{camera_name(0) + ".png", encode_png8(behind)}});
+  import();
+  const StageCapture c = read_stage_capture(at("out"));
+  EXPECT_TRUE(c.cameras[0].background);
+  EXPECT_FALSE(c.cameras[1].background);
+  const Image8 background = c.load_background(0);
+  EXPECT_GT(background.data[0], 100);  // sRGB of linear 52
+  const int right = kWidth - 2, y = kHeight / 2;
+  ASSERT_EQ(*c.load_mask(0, 0).at(right, y), 0);
+  EXPECT_NEAR(c.load_image(0, 0).at(right, y)[0], background.at(right, y)[0], 4);
+  EXPECT_EQ(c.load_image(0, 1).at(right, y)[0], 0);
+  EXPECT_EQ(c.load_image(1, 0).at(right, y)[0], 0);
+  const std::string missing = error_of([&] { c.load_background(1); });
+  EXPECT_TRUE(contains(missing, "backgrounds")) << missing;
+}
+
 TEST_F(GoliathLayout, TrackingFillsPartiallyLitFrames) {
   import();
   const StageCapture c = read_stage_capture(at("out"));

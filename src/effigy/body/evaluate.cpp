@@ -53,6 +53,8 @@ DrawnView BodyViewer::draw(const StageViewKey& view) {
 DrawnView BodyViewer::draw_in_light_of(const StageViewKey& key, int frame_of_light) {
   const StageSource& source = moments_.source();
   view_ = source.view(key, {0, kBorder, 0});
+  // Under another light another background would have been seen.
+  if (!settings_.backgrounds || frame_of_light != key.frame) put_on_black(view_);
   const StageMoment lit_as =
       frame_of_light == key.frame ? *view_.moment : source.moment(frame_of_light);
   const auto light = moments_.light(lit_as);
@@ -62,6 +64,7 @@ DrawnView BodyViewer::draw_in_light_of(const StageViewKey& key, int frame_of_lig
   picture_.draw(view_.view, model_.surface(), *light, draw_options(settings_));
   BodyTarget target;
   target.display = source.capture().display;
+  target.background = view_.background;
   Planes encoded;
   body_display(picture_, {}, target, encoded);
   DrawnView out;

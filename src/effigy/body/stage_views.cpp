@@ -126,6 +126,22 @@ StageMoment StageSource::moment(int frame) const {
   return moment;
 }
 
+std::array<float, 256> linear_table(DisplayTransform display) {
+  std::array<float, 256> table{};
+  for (size_t i = 0; i < 256; ++i) {
+    const float x = linear_from_srgb(static_cast<float>(i) / 255);
+    table[i] = display == DisplayTransform::kSrgb ? x : x / std::max(1 - x, 0.01f);
+  }
+  return table;
+}
+
+void put_on_black(StageView& view) {
+  if (view.background.data.empty()) return;
+  view.background = {};
+  for (int c = 0; c < 3; ++c)
+    for (size_t p = 0; p < view.mask.size(); ++p) view.image.plane(c)[p] *= view.mask[p];
+}
+
 StageView StageSource::view(const StageViewKey& key, const StageCrop& crop, uint64_t number) const {
   const Image8 image = capture_.load_image(key.camera, key.frame);
   const Image8 mask = capture_.load_mask(key.camera, key.frame);
@@ -152,6 +168,15 @@ StageView StageSource::view(const StageViewKey& key, const StageCrop& crop, uint
       view.mask[row + static_cast<size_t>(x)] = covered[x] * (1.0f / 255);
   }
   view.moment = std::make_shared<StageMoment>(moment(key.frame));
+  if (view.moment->fully_lit && capture_.cameras.at(static_cast<size_t>(key.camera)).background) {
+    const Image8 behind = capture_.load_background(key.camera);
+    const std::array<float, 256> linear = linear_table(capture_.display);
+    view.background = Planes(width, height, 3);
+    for (int c = 0; c < 3; ++c)
+      for (int y = 0; y < height; ++y)
+        for (int x = 0; x < width; ++x)
+          view.background.plane(c)[y * width + x] = linear[behind.at(box.left + x, box.top + y)[c]];
+  }
   return view;
 }
 

@@ -2,6 +2,7 @@
 // than memory: images stay compressed on disk and are decoded ahead by threads of their own.
 #pragma once
 
+#include <array>
 #include <memory>
 #include <optional>
 #include <string>
@@ -10,6 +11,7 @@
 #include "effigy/base/error.h"
 #include "effigy/body/stage_schedule.h"
 #include "effigy/capture/stage_capture.h"
+#include "effigy/image/colour.h"
 #include "effigy/light/point_light.h"
 
 namespace effigy {
@@ -33,8 +35,17 @@ struct StageView {
   Camera view;              // of the picture
   Planes image;             // 3 planes, as encoded (the capture's display transform), on black
   std::vector<float> mask;  // 1 a pixel, 1 = body
+  // 3 planes, linear: what fully lit pictures of cameras with a background photograph show instead
+  // of black; else empty.
+  Planes background;
   std::shared_ptr<const StageMoment> moment;
 };
+
+// Linear values of the 256 encoded ones; of reinhard-srgb at most 100.
+std::array<float, 256> linear_table(DisplayTransform display);
+
+// Takes a view's background away: its picture times the mask, on black.
+void put_on_black(StageView& view);
 
 struct StageCrop {
   // Side of a square in pixels (less where the image is smaller) at a random place among those that

@@ -27,15 +27,6 @@ struct Fit {
   std::vector<double> product, square;  // 3 a texel: sums of image * shade and shade^2
 };
 
-std::array<float, 256> linear_table(DisplayTransform display) {
-  std::array<float, 256> table{};
-  for (size_t i = 0; i < 256; ++i) {
-    const float x = linear_from_srgb(static_cast<float>(i) / 255);
-    table[i] = display == DisplayTransform::kSrgb ? x : x / std::max(1 - x, 0.01f);
-  }
-  return table;
-}
-
 // What the model shows of an albedo of 1: 3 planes.
 std::vector<float> shade_of(const BodyModel& model, const BodyLight& light) {
   const BodySurface& surface = model.surface();

@@ -148,6 +148,8 @@ double BodyTrainer::State::total(const BodyLossValues& values) const {
 // Draws one view and adds its gradients; losses are added as part of the batch's mean.
 void BodyTrainer::State::draw_view(BodyLossValues& mean) {
   view = *views->next();
+  if (!settings.backgrounds) put_on_black(view);
+  target.background = std::move(view.background);
   target.image = std::move(view.image);
   target.mask = std::move(view.mask);
   target.display = capture.display;

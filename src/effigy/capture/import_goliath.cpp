@@ -97,7 +97,8 @@ class Goliath {
       : source_(source),
         registration_(zip_at(source / "kinematic_tracking" / "registration_vertices.zip")),
         keypoints_(zip_at(source / "keypoints_3d" / "keypoints_3d.zip")),
-        head_pose_(zip_at(source / "head_pose" / "head_pose.zip")) {
+        head_pose_(zip_at(source / "head_pose" / "head_pose.zip")),
+        backgrounds_(zip_at(source / "per_view_background" / "per_view_background.zip")) {
     if (registration_ == nullptr)
       throw Error(source.string() +
                   ": kinematic_tracking/registration_vertices.zip is missing, the tracked mesh of "
@@ -117,7 +118,13 @@ class Goliath {
     stage.lit_evenly = lit_evenly_;
     stage.frames_left_out = left_out_;
     stage.first_problem = first_problem_;
-    for (const StageFrame& frame : stage.capture.frames) numbers_.push_back(frame.number);
+    for (const StageFrame& frame : stage.capture.frames) {
+      numbers_.push_back(frame.number);
+      lit_.push_back(frame.fully_lit);
+    }
+    stage.background = [self](int camera) {
+      return self->background(self->cameras_[static_cast<size_t>(camera)]);
+    };
     for (const StageCamera& camera : stage.capture.cameras) cameras_.push_back(camera.name);
     stage.moment = [self](int frame) { return self->moment(self->numbers_[frame]); };
     stage.open = [self](int camera) { return self->open(self->cameras_[camera]); };
@@ -486,6 +493,19 @@ class Goliath {
     return moment;
   }
 
+  bool has_background(const std::string& camera) const {
+    return backgrounds_ != nullptr && backgrounds_->has(camera + ".png");
+  }
+  Image8 background(const std::string& camera) const {
+    if (!has_background(camera)) return {};
+    const std::string name = camera + ".png";
+    Image8 image = to_channels(
+        decode_image8(backgrounds_->read(name, kLargestEntry), "per_view_background.zip: " + name),
+        3);
+    for (size_t i = 0; i < image.data.size(); ++i) image.data[i] = encoded_[i % 3][image.data[i]];
+    return image;
+  }
+
   std::function<ImportedView(int)> open(const std::string& camera) const {
     const auto images = zip_at(image_zip(camera));
     auto mattes = zip_at(source_ / "segmentation_fgbg" / (camera + ".zip"));
@@ -514,10 +534,11 @@ class Goliath {
         for (int x = 0; x < view.mask.width; ++x)
           if (*parts.at(x * parts.width / view.mask.width, y * parts.height / view.mask.height))
             *view.mask.at(x, y) = 255;
+      const bool whole = lit_[static_cast<size_t>(frame)] && has_background(camera);
       for (size_t i = 0; i < view.mask.data.size(); ++i)
         for (size_t c = 0; c < 3; ++c)
           view.image.data[3 * i + c] =
-              view.mask.data[i] ? encoded_[c][view.image.data[3 * i + c]] : uint8_t{0};
+              whole || view.mask.data[i] ? encoded_[c][view.image.data[3 * i + c]] : uint8_t{0};
       return view;
     };
   }
@@ -536,7 +557,7 @@ class Goliath {
   }
 
   Path source_;
-  std::shared_ptr<ZipArchive> registration_, keypoints_, head_pose_;
+  std::shared_ptr<ZipArchive> registration_, keypoints_, head_pose_, backgrounds_;
   StageCapture capture_;
   std::vector<std::vector<std::pair<int, float>>> patterns_;
   std::map<int64_t, int64_t> pattern_of_;
@@ -545,6 +566,7 @@ class Goliath {
   int left_out_ = 0;
   std::string first_problem_;
   std::vector<int64_t> numbers_;      // of frames
+  std::vector<bool> lit_;             // fully, of frames
   std::vector<std::string> cameras_;  // names
   const std::array<std::array<uint8_t, 256>, 3> encoded_ = encoding();
 };

@@ -26,7 +26,7 @@ struct ImportedMoment {
 };
 
 struct ImportedView {
-  Image8 image;  // 3 channels, sRGB, on black
+  Image8 image;  // 3 channels, sRGB, on black (or background)
   Image8 mask;   // 1 channel
 };
 
@@ -50,6 +50,9 @@ struct ImportedStage {
   // Reader of a camera's views, used by one thread; throws Error for a view that is missing or
   // damaged.
   std::function<std::function<ImportedView(int frame)>(int camera)> open;
+  // What is behind the body in a camera's fully lit pictures, which then are not put on black; an
+  // image without pixels where there is no photograph of it. May be empty: none has one.
+  std::function<Image8(int camera)> background;
 };
 
 ImportedStage open_goliath(const Path& source, const StageImportOptions& options);

@@ -273,7 +273,10 @@ class StageImport {
           if (!expected(c, f)) continue;
           throw_if_interrupted();
           try {
-            if (!read) read = stage_.open(camera_source_[c]);
+            if (!read) {
+              read = stage_.open(camera_source_[c]);
+              import_background(c);
+            }
             import_view(read(frame_source_[f]), c, f);
             seen_[f * cameras + c] = 1;
           } catch (const Error& error) {
@@ -292,6 +295,17 @@ class StageImport {
     if (problems.size() > report_.views)
       throw Error(format("{} of {} views of the source cannot be imported, the first problem: {}",
                          problems.size(), problems.size() + report_.views, report_.first_problem));
+  }
+
+  void import_background(size_t c) {
+    if (!stage_.background) return;
+    StageCamera& camera = out_.cameras[c];
+    Image8 image = stage_.background(camera_source_[c]);
+    if (image.data.empty()) return;
+    if (image.width != camera.camera.width || image.height != camera.camera.height)
+      image = resize(image, camera.camera.width, camera.camera.height);
+    write_png8(folder_.dir() / stage_background_path(camera.name), image, {}, true);
+    camera.background = true;
   }
 
   void import_view(ImportedView view, size_t c, size_t f) {

@@ -44,6 +44,7 @@ StageCamera stage_camera_from(const Json& json, const Path& file) {
     throw Error(file.string() + ": field 'split' of a camera must be train or test, not '" + split +
                 "'; correct it.");
   camera.test = split == "test";
+  camera.background = json_field_or<bool>(json, "background", file, false);
   return camera;
 }
 
@@ -210,6 +211,9 @@ Path stage_image_path(const std::string& camera, int64_t frame) {
 Path stage_mask_path(const std::string& camera, int64_t frame) {
   return Path("masks") / camera / (number_name(frame) + ".png");
 }
+Path stage_background_path(const std::string& camera) {
+  return Path("backgrounds") / (camera + ".png");
+}
 Path stage_layer_path(const std::string& layer, const std::string& camera, int64_t frame) {
   return Path("layers") / layer / camera /
          (number_name(frame) + (layer == "part" ? ".png" : ".exr"));
@@ -225,6 +229,11 @@ Image8 StageCapture::load_mask(int camera, int frame) const {
   const StageCamera& c = cameras.at(static_cast<size_t>(camera));
   const int64_t number = frames.at(static_cast<size_t>(frame)).number;
   return read_view(folder / stage_mask_path(c.name, number), c.camera, 1);
+}
+
+Image8 StageCapture::load_background(int camera) const {
+  const StageCamera& c = cameras.at(static_cast<size_t>(camera));
+  return read_view(folder / stage_background_path(c.name), c.camera, 3);
 }
 
 Image StageCapture::load_layer(const std::string& layer, int camera, int frame) const {
@@ -321,6 +330,7 @@ void write_stage_capture(const StageCapture& capture, const Path& folder) {
   for (const StageCamera& c : capture.cameras) {
     cameras.push_back(camera_json(c.name, c.camera));
     cameras.back()["split"] = c.test ? "test" : "train";
+    if (c.background) cameras.back()["background"] = true;
   }
   for (const StageLight& l : capture.lights)
     lights.push_back(

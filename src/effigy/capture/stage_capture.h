@@ -2,7 +2,8 @@
 // (docs/formats.md). What body avatars are trained from.
 //   capture.json (kind "body")  rig.safetensors  tracking.safetensors
 //   images/<camera>/<frame>.png  masks/<camera>/<frame>.png  frames/<frame>.safetensors
-//   [layers/<layer>/<camera>/<frame>.exr|png  truth.safetensors  lights/...]
+//   [backgrounds/<camera>.png  layers/<layer>/<camera>/<frame>.exr|png  truth.safetensors
+//   lights/...]
 #pragma once
 
 #include <array>
@@ -19,6 +20,9 @@ struct StageCamera {
   std::string name;
   Camera camera;
   bool test = false;  // held out
+  // There is a photograph of what is behind the body when all lights are on: pictures of fully lit
+  // frames show it; else they are on black, as those of all other frames.
+  bool background = false;
 };
 
 // Irradiance at distance d facing the light: amount * intensity / d^2.
@@ -83,6 +87,7 @@ struct StageCapture {
   // 3-channel image, 1-channel mask (255 = body), an image layer. Throw Error naming the file.
   Image8 load_image(int camera, int frame) const;
   Image8 load_mask(int camera, int frame) const;
+  Image8 load_background(int camera) const;  // 3 channels, encoded as images are
   Image load_layer(const std::string& layer, int camera, int frame) const;
 };
 
@@ -99,6 +104,7 @@ void write_frame_arrays(const StageFrameArrays& arrays, const Path& folder, int6
 // Names of a view's files, relative to the capture.
 Path stage_image_path(const std::string& camera, int64_t frame);
 Path stage_mask_path(const std::string& camera, int64_t frame);
+Path stage_background_path(const std::string& camera);
 Path stage_layer_path(const std::string& layer, const std::string& camera, int64_t frame);
 
 // Reads and checks everything but pixels and the frames' arrays.
