@@ -104,6 +104,20 @@ TEST(BodyCommands, TexturesAndInfo) {
   EXPECT_GT(json["gaussians"].get<int>(), 1000);
 }
 
+TEST(BodyCommands, StudyShowsItsRowsCloseUp) {
+  const test::ScratchFolder out;
+  const std::string command = "study body " + capture() + " -o " + (out / "study").string() +
+                              " --iterations 3 --views 1 --cell 'SH, rotated' --cell 'PBR "
+                              "appearance' --cell '4 shadow groups'";
+  const Outcome study = run(command);
+  ASSERT_EQ(study.code, 0) << study.err;
+  EXPECT_TRUE(contains(study.out, "| SH, rotated |")) << study.out;
+  const std::string html = read_text(out / "study/report.html");
+  EXPECT_TRUE(contains(html, "Close up"));
+  EXPECT_TRUE(contains(html, "under lamps, frame"));  // the ball has no ears
+  EXPECT_FALSE(contains(html, "ear, frame"));
+}
+
 TEST(BodyCommands, BadInputIsOneSentence) {
   expect_sentence("render " + body() + " -o /tmp/x --point-light 1,2,3", "--point-light");
   expect_sentence("render " + body() + " -o /tmp/x --point-light 1,2,3,-1,0,0", "negative");
@@ -116,9 +130,9 @@ TEST(BodyCommands, BadInputIsOneSentence) {
   expect_sentence("train " + capture() + " -o /tmp/x --perceptual loud", "--perceptual");
   expect_sentence("train " + capture() + " -o /tmp/x --perceptual vgg --models " + capture(),
                   "vgg16-*.pth");
-  expect_sentence("train " + capture() + " -o /tmp/x --set perceptual=squeezenet10 --models " +
-                      capture(),
-                  "squeezenet_v1.0_deep_compression.net");
+  expect_sentence(
+      "train " + capture() + " -o /tmp/x --set perceptual=squeezenet10 --models " + capture(),
+      "squeezenet_v1.0_deep_compression.net");
   expect_sentence("train " + capture() + " -o /tmp/x --set appearance=glass", "appearance");
   expect_sentence("study body " + capture() + " -o /tmp/x --cell nothing", "nothing");
   const test::ScratchFolder out;

@@ -10,6 +10,10 @@
 #include "effigy/cli/commands.h"
 #include "effigy/cli/eval.h"
 #include "effigy/cli/study_cells.h"
+#include "effigy/cli/study_crops.h"
+#include "effigy/cli/training_distance.h"
+#include "effigy/image/metrics.h"
+#include "effigy/report/overlay.h"
 #include "effigy/report/report.h"
 
 namespace effigy {
@@ -20,11 +24,14 @@ std::vector<Cell> body_cells() {
   return {{"full", Json::object()},
           {"PBR appearance", {{"appearance", "pbr"}, {"roughness_high", 1.0}}},
           {"SH, not rotated", {{"appearance", "sh"}}},
+          {"SH, rotated", {{"appearance", "sh_turned"}}},
           {"without shadow network", {{"shadow", false}}},
           {"mesh normals", {{"normals", "mesh"}}},
           {"without deferred shading", {{"deferred", false}}},
           {"1 shadow ray", {{"shadow_samples", 1}}},
           {"256 shadow rays", {{"shadow_samples", 256}}},
+          {"4 shadow groups", {{"shadow_groups", 4}}},
+          {"SqueezeNet features", {{"perceptual", "squeezenet10"}}},
           {"alpha products of the paper", {{"divide_by_alpha", false}}},
           {"without opacity compensation", {{"compensate", false}}},
           {"free transfer", {{"weight.transfer", 0.0}}},
@@ -57,6 +64,7 @@ Json run_cell(const Cell& cell, const BodyStudyOptions& options, const StageCapt
                     {"capture", std::filesystem::absolute(capture.folder).string()}};
   return kept_cell(folder, key, [&] {
     BodyTrainOptions train;
+    train.perceptual = training_distance(settings.perceptual, "");
     train.resume = std::filesystem::exists(folder / "avatar" / "checkpoint.safetensors");
     train_body(capture, settings, folder / "avatar", train);
     BodyAvatar avatar = read_body_avatar(folder / "avatar");
@@ -119,6 +127,108 @@ void add_pictures(Report& report, const std::vector<Cell>& cells, const StageCap
   report.add_image_grid(columns, rows);
 }
 
+// Whole pixels, so that nothing is smoothed over.
+Image8 enlarged(const Image8& image) {
+  constexpr int kShown = 208;
+  const int times = std::max(1, kShown / std::max(1, std::min(image.width, image.height)));
+  Image8 out(times * image.width, times * image.height, image.channels);
+  for (int y = 0; y < out.height; ++y)
+    for (int x = 0; x < out.width; ++x)
+      std::copy_n(image.at(x / times, y / times), image.channels, out.at(x, y));
+  return out;
+}
+
+template <class Picture>
+Picture part_of(const Picture& image, const PixelBox& box) {
+  Picture out(box.x1 - box.x0, box.y1 - box.y0, image.channels);
+  for (int y = box.y0; y < box.y1; ++y)
+    std::copy_n(image.at(box.x0, y), static_cast<size_t>(out.width) * image.channels,
+                out.at(0, y - box.y0));
+  return out;
+}
+
+// The crop's part of a drawn view.
+PixelBox box_in(const StudyCrop& crop, const StageView& view) {
+  const PixelBox all{0, 0, view.image.width, view.image.height};
+  if (crop.box.empty()) return all;
+  PixelBox box{crop.box.x0 - view.left, crop.box.y0 - view.top, crop.box.x1 - view.left,
+               crop.box.y1 - view.top};
+  box.x0 = std::clamp(box.x0, 0, all.x1 - 1);
+  box.y0 = std::clamp(box.y0, 0, all.y1 - 1);
+  box.x1 = std::clamp(box.x1, box.x0 + 1, all.x1);
+  box.y1 = std::clamp(box.y1, box.y0 + 1, all.y1);
+  return box;
+}
+
+Image8 drawn_normals(const BodyPicture& picture) {
+  const Planes& channels = picture.channels();
+  Planes normals(channels.width, channels.height, 3);
+  for (int c = 0; c < 3; ++c)
+    for (size_t p = 0; p < normals.pixels(); ++p)
+      normals.plane(c)[p] =
+          channels.plane(1 + kBodyNormal + c)[p] / std::max(channels.plane(0)[p], 1e-3f);
+  return colour_normals(normals, 0, {channels.plane(0)});
+}
+
+Image8 true_normals(const StageCapture& capture, const StageView& view) {
+  const Image layer = capture.load_layer("normal", view.camera, view.frame);
+  Planes normals(view.image.width, view.image.height, 3);
+  for (int c = 0; c < 3; ++c)
+    for (int y = 0; y < normals.height; ++y)
+      for (int x = 0; x < normals.width; ++x)
+        normals.plane(c)[y * normals.width + x] = layer.at(view.left + x, view.top + y)[c];
+  return colour_normals(normals, 0, {view.mask.data()});
+}
+
+// Truth, the full model and the row that a crop is about, each cell's avatar read once.
+void add_crops(Report& report, const std::vector<Cell>& cells, const StageCapture& capture,
+               const Path& output) {
+  const StageSource source(capture);
+  const std::vector<StudyCrop> crops = study_crops(source);
+  const bool normals =
+      std::find(capture.layers.begin(), capture.layers.end(), "normal") != capture.layers.end();
+  std::vector<ImageRow> rows(crops.size());
+  for (const Cell& cell : cells) {
+    const bool full = &cell == cells.data();
+    const auto about = [&](const StudyCrop& crop) { return full || crop.other == cell.name; };
+    if (std::none_of(crops.begin(), crops.end(), about)) continue;
+    BodyAvatar avatar = read_body_avatar(output / folder_name(cell) / "avatar");
+    StageMoments moments(source, avatar.model.shadow_texels(), avatar.settings);
+    BodyViewer viewer(avatar.settings, avatar.model, moments);
+    for (size_t k = 0; k < crops.size(); ++k) {
+      const StudyCrop& crop = crops[k];
+      if (!about(crop)) continue;
+      const DrawnView drawn = viewer.draw(crop.view);
+      const PixelBox box = box_in(crop, viewer.view());
+      const auto show = [&](const Image8& image) {
+        rows[k].images.push_back(enlarged(part_of(image, box)));
+      };
+      if (full) {
+        rows[k].caption = format("{}, frame {}, camera {}", crop.name,
+                                 capture.frames[static_cast<size_t>(crop.view.frame)].number,
+                                 capture.cameras[static_cast<size_t>(crop.view.camera)].name);
+        if (!crop.normals)
+          show(to_8bit(drawn.truth));
+        else if (normals)
+          show(true_normals(capture, viewer.view()));
+        else
+          rows[k].images.emplace_back();
+      }
+      show(crop.normals ? drawn_normals(viewer.picture()) : to_8bit(drawn.drawn));
+      rows[k].caption += format("; {}", full ? "full" : cell.name);
+      if (!crop.normals)
+        rows[k].caption +=
+            format(" {:.1f} dB", psnr(part_of(drawn.drawn, box), part_of(drawn.truth, box)));
+    }
+  }
+  if (rows.empty()) return;
+  report.add_heading("Close up");
+  report.add_paragraph(
+      "On held-out cameras in unseen motion: of the views there are, the one that shows each part "
+      "large, from the front and lit. Pixels are not smoothed.");
+  report.add_image_grid({"truth", "full", "the other row"}, rows);
+}
+
 }  // namespace
 
 int run_study_body(int argc, char** argv, const PerceptualDistances& distances) {
@@ -154,8 +264,10 @@ int run_study_body(int argc, char** argv, const PerceptualDistances& distances) 
   if (capture_path.empty() || output.empty())
     throw Error("study wants a CAPTURE and -o FOLDER; see 'effigy study body --help'.");
   const StageCapture capture = read_stage_capture(capture_path);
-  const std::vector<Cell> cells =
-      chosen_cells(body_cells(), options.only, "effigy study body --list");
+  std::vector<Cell> cells = chosen_cells(body_cells(), options.only, "effigy study body --list");
+  // Without the user's weights that row is left out, unless it was asked for.
+  if (options.only.empty() && find_perceptual({}).squeezenet10.empty())
+    std::erase_if(cells, [](const Cell& cell) { return cell.changes.contains("perceptual"); });
   const Path out = output;
   make_folder(out);
   Json study = Json::object();
@@ -170,6 +282,7 @@ int run_study_body(int argc, char** argv, const PerceptualDistances& distances) 
   report.add_table(kColumns, rows,
                    "On cameras that were held out; on the bounding box of the body. Features: "
                    "feature_squeezenet10, where its weights are found.");
+  add_crops(report, cells, capture, out);
   add_pictures(report, cells, capture, out);
   report.add_heading("Settings");
   report.add_code(to_json(cell_settings(options, cells.front())).dump(2));
