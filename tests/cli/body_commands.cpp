@@ -71,6 +71,51 @@ TEST(BodyCommands, EvalScoresEveryGroup) {
   EXPECT_TRUE(contains(read_text(out / "report.html"), "held-out cameras"));
 }
 
+TEST(BodyCommands, ShardsOfEvalMergeToTheWhole) {
+  const test::ScratchFolder out;
+  const std::string command = "eval " + body() + " " + capture() + " --lpips none -o ";
+  const std::string parts = command + (out / "parts").string();
+  ASSERT_EQ(run(command + (out / "whole").string()).code, 0);
+  EXPECT_TRUE(contains(run(parts + " --merge").err, "no shards"));
+  for (const int i : {2, 0}) {
+    const Outcome shard = run(parts + " --shard " + std::to_string(i) + "/3");
+    ASSERT_EQ(shard.code, 0) << shard.err;
+  }
+  EXPECT_FALSE(std::filesystem::exists(out / "parts/metrics.json"));
+  const Outcome early = run(parts + " --merge");
+  EXPECT_EQ(early.code, 2);
+  EXPECT_TRUE(early.one_sentence() && contains(early.err, "1-of-3.json is missing")) << early.err;
+  ASSERT_EQ(run(parts + " --shard 1/3 --views 1").code, 0);
+  EXPECT_TRUE(contains(run(parts + " --merge").err, "other options"));
+  ASSERT_EQ(run(parts + " --shard 1/3").code, 0);
+  const Outcome merge = run(parts + " --merge");
+  ASSERT_EQ(merge.code, 0) << merge.err;
+  Json whole = read_json(out / "whole/metrics.json"),
+       merged = read_json(out / "parts/metrics.json");
+  EXPECT_GT(merged["seconds"], 0);
+  whole.erase("seconds");
+  merged.erase("seconds");
+  EXPECT_EQ(whole, merged);
+  EXPECT_EQ(read_text(out / "whole/report.html"), read_text(out / "parts/report.html"));
+  expect_sentence(parts + " --shard 3/3", "--shard");
+  expect_sentence(parts + " --shard 1of3", "--shard");
+  expect_sentence(parts + " --shard 0/3 --merge", "--merge");
+  ASSERT_EQ(run(parts + " --shard 0/2").code, 0);
+  expect_sentence(parts + " --merge", "remove those of an earlier run");
+}
+
+TEST(BodyCommands, ShardsOfRenderMergeToTheWhole) {
+  const test::ScratchFolder out;
+  const std::string command = "render " + body() + " --count 3 --size 32 --camera orbit -o ";
+  ASSERT_EQ(run(command + (out / "whole").string()).code, 0);
+  for (const char* shard : {"0/2", "1/2"})
+    ASSERT_EQ(run(command + (out / "parts").string() + " --shard " + shard).code, 0);
+  for (int f = 0; f < 3; ++f) {
+    const std::string name = "rgb/00000" + std::to_string(f) + ".png";
+    EXPECT_EQ(read_file(out / "whole" / name), read_file(out / "parts" / name));
+  }
+}
+
 TEST(BodyCommands, RenderByEnvironmentAndLamps) {
   const test::ScratchFolder out;
   const Outcome sky = run("render " + body() + " -o " + (out / "sky").string() +

@@ -158,6 +158,27 @@ TEST(Commands, ShardsTogetherAreTheWhole) {
   EXPECT_EQ(run("render " + avatar + " -o /tmp/x --shard 2/2").code, 2);
 }
 
+TEST(Commands, ShardsOfEvalMergeToTheWhole) {
+  const Path& place = trained();
+  const test::ScratchFolder out;
+  const std::string command = "eval " + (place / "avatar").string() + " " +
+                              (place / "capture").string() + " --refine-steps 2 --lpips none -o ";
+  ASSERT_EQ(run(command + (out / "whole").string()).code, 0);
+  for (const char* shard : {"0/2", "1/2"}) {
+    const Outcome part = run(command + (out / "parts").string() + " --shard " + shard);
+    ASSERT_EQ(part.code, 0) << part.err;
+  }
+  const Outcome merge = run(command + (out / "parts").string() + " --merge");
+  ASSERT_EQ(merge.code, 0) << merge.err;
+  Json whole = read_json(out / "whole/metrics.json"),
+       merged = read_json(out / "parts/metrics.json");
+  EXPECT_TRUE(merged.contains("refined"));
+  whole.erase("seconds");
+  merged.erase("seconds");
+  EXPECT_EQ(whole, merged);
+  EXPECT_TRUE(std::filesystem::exists(out / "parts/report.html"));
+}
+
 TEST(Commands, BadAvatarInputsAreNamed) {
   const Path& place = trained();
   test::ScratchFolder scratch;

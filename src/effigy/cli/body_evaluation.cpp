@@ -99,6 +99,21 @@ const ViewGroup* BodyEvaluation::group(const std::string& name) const {
   return nullptr;
 }
 
+std::vector<ScoredGroup> scored_groups(const StageCapture& capture, size_t most_views) {
+  std::vector<int> cameras = capture.test_cameras();
+  if (cameras.empty()) cameras = capture.train_cameras();
+  const auto group = [&](const char* name, const char* title, const std::vector<int>& frames) {
+    return ScoredGroup{name, title, scored_views(capture, frames, cameras, most_views)};
+  };
+  return {group("view", "held-out cameras, partially lit training frames",
+                partially_lit(capture, capture.frames_of(StageSplit::kTrain))),
+          group("light", "held-out cameras and lights", capture.frames_of(StageSplit::kLights)),
+          group("motion", "held-out cameras, lights and motion",
+                capture.frames_of(StageSplit::kMotion)),
+          group("environment", "unseen motion under environments",
+                capture.frames_of(StageSplit::kEnvironment))};
+}
+
 BodyEvaluation evaluate_body(BodyAvatar& avatar, const StageCapture& capture,
                              const BodyEvaluationOptions& options) {
   check_fits(avatar, capture);
@@ -109,34 +124,26 @@ BodyEvaluation evaluate_body(BodyAvatar& avatar, const StageCapture& capture,
   const StageSource source(capture);
   StageMoments moments(source, avatar.model.shadow_texels(), avatar.settings);
   BodyViewer viewer(avatar.settings, avatar.model, moments);
-  std::vector<int> cameras = capture.test_cameras();
-  if (cameras.empty()) {
+  if (capture.test_cameras().empty())
     log_warning("the capture holds no cameras out; training cameras are scored");
-    cameras = capture.train_cameras();
-  }
   const std::array<float, 3> colour = mean_colour(source);
   const int full = fully_lit_frame(capture);
 
-  struct Wanted {
-    const char *name, *title;
-    std::vector<int> frames;
-  };
-  const Wanted wanted[] = {
-      {"view", "held-out cameras, partially lit training frames",
-       partially_lit(capture, capture.frames_of(StageSplit::kTrain))},
-      {"light", "held-out cameras and lights", capture.frames_of(StageSplit::kLights)},
-      {"motion", "held-out cameras, lights and motion", capture.frames_of(StageSplit::kMotion)},
-      {"environment", "unseen motion under environments",
-       capture.frames_of(StageSplit::kEnvironment)}};
-  int64_t total = 0, done = 0;
-  for (const Wanted& w : wanted)
-    total +=
-        static_cast<int64_t>(scored_views(capture, w.frames, cameras, options.most_views).size());
+  const std::vector<ScoredGroup> wanted = scored_groups(capture, options.most_views);
+  size_t total = 0, here = 0;
+  for (const ScoredGroup& w : wanted)
+    for (size_t k = 0; k < w.views.size(); ++k) here += options.shard.takes(total++);
+  if (total == 0)
+    throw Error(capture.folder.string() +
+                ": no partially lit or held-out frame to score; capture some.");
+  size_t number = 0;
+  int64_t done = 0;
   LeftOutViews left_out;
-  Progress progress("scoring", "views", total);
-  for (const Wanted& w : wanted) {
+  Progress progress("scoring", "views", static_cast<int64_t>(here));
+  for (const ScoredGroup& w : wanted) {
     ViewGroup group{w.name, w.title, {}};
-    for (const StageViewKey& key : scored_views(capture, w.frames, cameras, options.most_views)) {
+    for (const StageViewKey& key : w.views) {
+      if (!options.shard.takes(number++)) continue;
       try {
         ViewScores scores;
         scores.view = key;
@@ -148,16 +155,13 @@ BodyEvaluation evaluate_body(BodyAvatar& avatar, const StageCapture& capture,
           scores.distances[distance.name] = distance.between(drawn.truth, drawn.drawn);
         group.views.push_back(std::move(scores));
       } catch (const Error& error) {
-        left_out.add(error, static_cast<size_t>(total));
+        left_out.add(error, total);
       }
       progress.update(++done);
     }
     if (!group.views.empty()) evaluation.groups.push_back(std::move(group));
   }
   progress.finish();
-  if (evaluation.groups.empty())
-    throw Error(capture.folder.string() +
-                ": no partially lit or held-out frame to score; capture some.");
   evaluation.left_out = left_out.count();
   evaluation.seconds =
       std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();

@@ -9,11 +9,13 @@
 #include "effigy/body/body_avatar.h"
 #include "effigy/body/evaluate.h"
 #include "effigy/cli/evaluation.h"
+#include "effigy/cli/shard.h"
 
 namespace effigy {
 
 struct BodyEvaluationOptions {
   size_t most_views = 48;  // of each group; 0: all
+  Shard shard;             // which of them are scored here
   PerceptualDistances perceptual;
 };
 
@@ -42,9 +44,23 @@ struct BodyEvaluation {
   Json metrics() const;                                   // metrics.json
 };
 
+// What is scored of a capture, at most `most_views` of each group.
+struct ScoredGroup {
+  std::string name, title;
+  std::vector<StageViewKey> views;
+};
+std::vector<ScoredGroup> scored_groups(const StageCapture& capture, size_t most_views);
+
 // Throws Error when capture and avatar have different meshes or keypoints.
 BodyEvaluation evaluate_body(BodyAvatar& avatar, const StageCapture& capture,
                              const BodyEvaluationOptions& options);
+
+// The scores of one shard go to OUT/shards; merged, they are those of a run that was not split.
+// Throws Error when shards are missing or belong to another avatar, capture or options.
+void write_body_shard(const BodyEvaluation& evaluation, const BodyEvaluationOptions& options,
+                      const StageCapture& capture, const Path& avatar_folder, const Path& out);
+BodyEvaluation merge_body_shards(const StageCapture& capture, const Path& avatar_folder,
+                                 const Path& out);
 
 // Writes OUT/report.html and OUT/metrics.json, each complete or not at all.
 void write_body_evaluation(const BodyEvaluation& evaluation, BodyAvatar& avatar,

@@ -38,6 +38,20 @@ void add_perceptual_options(CLI::App& app, PerceptualOptions& perceptual) {
                  "The lpips package's heads for --lpips, a .pth file");
 }
 
+void add_shard_options(CLI::App& app, ShardOptions& options) {
+  app.add_option("--shard", options.shard,
+                 "i/n: score only every n-th frame, starting with the i-th (0-based), into "
+                 "OUTPUT/shards");
+  app.add_flag("--merge", options.merge,
+               "Score nothing: put the shards in OUTPUT/shards together, as if not split");
+}
+
+Shard ShardOptions::parse() const {
+  if (merge && !shard.empty())
+    throw Error("--merge puts all shards together; give it without --shard.");
+  return parse_shard(shard);
+}
+
 int evaluate_command(int argc, char** argv, const DistanceSource& source) {
   CLI::App app(
       "Scores an avatar on a capture's held-out frames and writes metrics.json and report.html.\n"
@@ -47,11 +61,13 @@ int evaluate_command(int argc, char** argv, const DistanceSource& source) {
       "else "
       "$EFFIGY_DATA/perceptual;\n"
       "docs/evaluation.md says which files); LPIPS is left out, and said to be, without them.\n\n"
-      "example: effigy eval anna anna-capture -o anna-eval",
+      "example: effigy eval anna anna-capture -o anna-eval\n"
+      "         effigy eval anna anna-capture -o anna-eval --shard 0/8   (docs/scale.md)",
       "eval");
   std::string avatar_path, capture_path, output, protocol = "all";
   EvaluationOptions options;
   PerceptualOptions perceptual;
+  ShardOptions shards;
   CommonOptions common;
   app.add_option("AVATAR", avatar_path, "Avatar folder")->required();
   app.add_option("CAPTURE", capture_path, "Capture folder")->required();
@@ -66,12 +82,15 @@ int evaluate_command(int argc, char** argv, const DistanceSource& source) {
   app.add_option("--light", options.lights,
                  "Lights of the report's relit rows (names or HDR/EXR files)")
       ->delimiter(',');
+  add_shard_options(app, shards);
   add_perceptual_options(app, perceptual);
   add_common(app, common, false, true);
   if (!parse_command_line(app, argc, argv, common)) return 0;
   options.refined = protocol == "all" || protocol == "refined";
 
-  PerceptualFiles files = find_perceptual(perceptual);
+  options.shard = shards.parse();
+  PerceptualFiles files;
+  if (!shards.merge) files = find_perceptual(perceptual);
   if (files.any() && !source) {
     if (can_hand_over()) return hand_over(argc, argv);
     files = {};
@@ -82,7 +101,13 @@ int evaluate_command(int argc, char** argv, const DistanceSource& source) {
 
   const HeadAvatar avatar = read_head_avatar(avatar_path);
   const Capture capture = read_capture(capture_path);
-  const Evaluation evaluation = evaluate_avatar(avatar, capture, options);
+  Evaluation evaluation = shards.merge ? merge_shards(avatar, capture, avatar_path, output)
+                                       : score_frames(avatar, capture, options);
+  if (!options.shard.whole()) {
+    write_evaluation_shard(evaluation, options, capture, avatar_path, output);
+    return 0;
+  }
+  score_as_a_whole(avatar, capture, evaluation);
   write_evaluation(evaluation, avatar, capture, avatar_path, options, output);
   if (common.json) {
     print_json(evaluation.metrics());

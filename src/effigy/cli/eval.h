@@ -7,11 +7,21 @@
 
 #include "effigy/cli/evaluation.h"
 #include "effigy/cli/perceptual_files.h"
+#include "effigy/cli/shard.h"
 
 namespace effigy {
 
 // The distances that the files make possible.
 using DistanceSource = std::function<PerceptualDistances(const PerceptualFiles& files)>;
+
+// --shard and --merge.
+struct ShardOptions {
+  std::string shard;
+  bool merge = false;
+  // Throws Error when both are given.
+  Shard parse() const;
+};
+void add_shard_options(CLI::App& app, ShardOptions& options);
 
 // --models, --lpips and the files of it.
 void add_perceptual_options(CLI::App& app, PerceptualOptions& perceptual);

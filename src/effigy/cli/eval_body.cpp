@@ -15,9 +15,11 @@ int evaluate_body_command(int argc, char** argv, const DistanceSource& source) {
       "writes metrics.json and report.html. LPIPS and feature_squeezenet10 where their weights "
       "are\n"
       "found (--models, else $EFFIGY_DATA/perceptual; docs/evaluation.md).\n\n"
-      "example: effigy eval body stage-capture -o body-eval",
+      "example: effigy eval body stage-capture -o body-eval\n"
+      "         effigy eval body stage-capture -o body-eval --shard 0/8   (docs/scale.md)",
       "eval");
   std::string avatar_path, capture_path, output;
+  ShardOptions shards;
   BodyEvaluationOptions options;
   PerceptualOptions perceptual;
   CommonOptions common;
@@ -26,16 +28,23 @@ int evaluate_body_command(int argc, char** argv, const DistanceSource& source) {
   app.add_option("-o,--output", output, "Folder for metrics.json and report.html")->required();
   app.add_option("--views", options.most_views,
                  "Views scored of each group, evenly spread (default 48; 0: all)");
+  add_shard_options(app, shards);
   add_perceptual_options(app, perceptual);
   add_common(app, common, false, true);
   if (!parse_command_line(app, argc, argv, common)) return 0;
 
+  options.shard = shards.parse();
   const PerceptualFiles files = find_perceptual(perceptual);
   options.perceptual.lpips_note = files.note;
-  if (files.any()) options.perceptual = source(files);
+  if (files.any() && !shards.merge) options.perceptual = source(files);
   BodyAvatar avatar = read_body_avatar(avatar_path);
   const StageCapture capture = read_stage_capture(capture_path);
-  const BodyEvaluation evaluation = evaluate_body(avatar, capture, options);
+  const BodyEvaluation evaluation = shards.merge ? merge_body_shards(capture, avatar_path, output)
+                                                 : evaluate_body(avatar, capture, options);
+  if (!options.shard.whole()) {
+    write_body_shard(evaluation, options, capture, avatar_path, output);
+    return 0;
+  }
   write_body_evaluation(evaluation, avatar, capture, avatar_path, output);
   if (common.json) {
     print_json(evaluation.metrics());

@@ -75,8 +75,8 @@ std::vector<EditView> edit_views(const HeadAvatar& avatar, const Evaluation& eva
 
 }  // namespace
 
-Evaluation evaluate_avatar(const HeadAvatar& avatar, const Capture& capture,
-                           const EvaluationOptions& options) {
+Evaluation score_frames(const HeadAvatar& avatar, const Capture& capture,
+                        const EvaluationOptions& options) {
   check_rigs_agree(avatar, capture);
   const auto begin = std::chrono::steady_clock::now();
   Evaluation evaluation;
@@ -87,8 +87,9 @@ Evaluation evaluate_avatar(const HeadAvatar& avatar, const Capture& capture,
   }
   if (held_out.empty())
     throw Error(capture.folder.string() + ": no tracked frame to score; track the video again.");
-  evaluation.frames =
-      options.most_frames > 0 ? spread_frames(held_out, options.most_frames) : held_out;
+  if (options.most_frames > 0) held_out = spread_frames(held_out, options.most_frames);
+  for (size_t k = 0; k < held_out.size(); ++k)
+    if (options.shard.takes(k)) evaluation.frames.push_back(held_out[k]);
   evaluation.lpips_net = options.perceptual.lpips_net;
   evaluation.lpips_note = options.perceptual.lpips_note;
   const std::vector<ImageDistance>& distances = options.perceptual.distances;
@@ -96,14 +97,27 @@ Evaluation evaluate_avatar(const HeadAvatar& avatar, const Capture& capture,
   if (options.refined)
     evaluation.refined =
         evaluate_refined(avatar, capture, evaluation.frames, options.refine_steps, distances);
+  evaluation.seconds =
+      std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+  return evaluation;
+}
+
+void score_as_a_whole(const HeadAvatar& avatar, const Capture& capture, Evaluation& evaluation) {
+  const auto begin = std::chrono::steady_clock::now();
   for (const RelightSet& set : relight_sets(capture))
     evaluation.relight[set.name] = score_relight(avatar, capture, set);
   evaluation.truth = score_truth(avatar, capture, evaluation.frames);
   evaluation.albedo_error = evaluation.truth ? evaluation.truth->albedo_error
                                              : albedo_error(avatar, capture, evaluation.frames);
   evaluation.edit = measure_edit_accuracy(avatar, edit_views(avatar, evaluation));
-  evaluation.seconds =
+  evaluation.seconds +=
       std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+}
+
+Evaluation evaluate_avatar(const HeadAvatar& avatar, const Capture& capture,
+                           const EvaluationOptions& options) {
+  Evaluation evaluation = score_frames(avatar, capture, options);
+  score_as_a_whole(avatar, capture, evaluation);
   return evaluation;
 }
 

@@ -7,6 +7,7 @@
 
 #include "effigy/avatar/head_avatar.h"
 #include "effigy/capture/capture.h"
+#include "effigy/cli/shard.h"
 #include "effigy/head/edit_accuracy.h"
 #include "effigy/head/evaluate.h"
 #include "effigy/head/relight.h"
@@ -24,7 +25,8 @@ struct PerceptualDistances {
 struct EvaluationOptions {
   bool refined = true;  // also the protocol `refined`
   int refine_steps = 60;
-  int most_frames = 0;                                                 // 0: all held-out frames
+  Shard shard;          // which of the frames are scored here
+  int most_frames = 0;  // 0: all held-out frames
   std::vector<std::string> lights = {"studio", "overcast", "sunset"};  // relit in the report
   PerceptualDistances perceptual;
 };
@@ -42,9 +44,22 @@ struct Evaluation {
   Json metrics() const;  // metrics.json
 };
 
-// Scores `avatar` on the held-out frames of `capture` (all frames when none are held out).
+// Scores `avatar` on the held-out frames of `capture` (all frames when none are held out): frame by
+// frame, ...
+Evaluation score_frames(const HeadAvatar& avatar, const Capture& capture,
+                        const EvaluationOptions& options);
+// ... and by what is no mean over these frames: light, truth and edits.
+void score_as_a_whole(const HeadAvatar& avatar, const Capture& capture, Evaluation& evaluation);
+// Both.
 Evaluation evaluate_avatar(const HeadAvatar& avatar, const Capture& capture,
                            const EvaluationOptions& options);
+
+// The scores of one shard's frames go to OUT/shards; merged, they are what score_frames() finds of
+// all frames. Throws Error when shards are missing or belong to another avatar, capture or options.
+void write_evaluation_shard(const Evaluation& evaluation, const EvaluationOptions& options,
+                            const Capture& capture, const Path& avatar_folder, const Path& out);
+Evaluation merge_shards(const HeadAvatar& avatar, const Capture& capture, const Path& avatar_folder,
+                        const Path& out);
 
 // Writes OUT/report.html and OUT/metrics.json, each complete or not at all.
 void write_evaluation(const Evaluation& evaluation, const HeadAvatar& avatar,

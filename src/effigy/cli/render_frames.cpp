@@ -2,13 +2,13 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <numbers>
 
 #include "effigy/base/error.h"
 #include "effigy/base/log.h"
 #include "effigy/cli/command_line.h"
 #include "effigy/cli/render_settings.h"
+#include "effigy/cli/shard.h"
 #include "effigy/image/files.h"
 
 namespace effigy {
@@ -29,19 +29,6 @@ Image three_channels(const Image& two) {
     out.data[3 * i + 1] = two.data[2 * i + 1];
   }
   return out;
-}
-
-struct Shard {
-  int index = 0, count = 1;
-};
-Shard parse_shard(const std::string& text) {
-  Shard shard;
-  if (text.empty()) return shard;
-  char rest = 0;
-  if (std::sscanf(text.c_str(), "%d/%d%c", &shard.index, &shard.count, &rest) != 2 ||
-      shard.count < 1 || shard.index < 0 || shard.index >= shard.count)
-    throw Error("--shard must be i/n with 0 <= i < n, not '" + text + "'.");
-  return shard;
 }
 
 }  // namespace
@@ -70,7 +57,7 @@ std::vector<int> frames_to_render(const RenderFrames& o, int total) {
   if (o.first >= total) throw Error(format("--first {}: the track has {} frames.", o.first, total));
   const int count = o.count > 0 ? std::min(o.count, total - o.first) : total - o.first;
   const Shard shard = parse_shard(o.shard);
-  if (shard.count > 1 && Path(o.output).extension() == ".mp4")
+  if (!shard.whole() && Path(o.output).extension() == ".mp4")
     throw Error("--shard needs a folder of frames: give -o DIR instead of an .mp4 file.");
   std::vector<int> frames;
   for (int i = shard.index; i < count; i += shard.count) frames.push_back(o.first + i);

@@ -1,0 +1,102 @@
+// Scores of a body's views, split among machines and put together again.
+
+#include "effigy/base/error.h"
+#include "effigy/cli/body_evaluation.h"
+
+namespace effigy {
+namespace {
+
+Json to_json(const BodyScore& s) {
+  return from_scores({s.psnr, s.ssim, s.flip, s.psnr_inside});
+}
+
+BodyScore body_score(const Json& view, const char* field, const Path& file) {
+  const std::vector<double> s = to_scores(json_field<Json>(view, field, file), 4, file);
+  return {s[0], s[1], s[2], s[3]};
+}
+
+ViewScores view_scores(const Json& json, const Path& file) {
+  ViewScores scores;
+  scores.view = {json_field<int>(json, "frame", file), json_field<int>(json, "camera", file)};
+  scores.score = body_score(json, "score", file);
+  scores.flat = body_score(json, "mean_colour", file);
+  scores.unlit = body_score(json, "left_fully_lit", file);
+  const Json distances = json_field<Json>(json, "distances", file);
+  for (const auto& [name, value] : distances.items())
+    scores.distances[name] = to_scores(Json::array({value}), 1, file)[0];
+  return scores;
+}
+
+}  // namespace
+
+void write_body_shard(const BodyEvaluation& evaluation, const BodyEvaluationOptions& options,
+                      const StageCapture& capture, const Path& avatar_folder, const Path& out) {
+  Json views = Json::object();
+  for (const ViewGroup& group : evaluation.groups)
+    for (const ViewScores& scores : group.views) {
+      Json distances = Json::object();
+      for (const auto& [name, value] : scores.distances) distances[name] = from_scores({value})[0];
+      views[group.name].push_back({{"frame", scores.view.frame},
+                                   {"camera", scores.view.camera},
+                                   {"score", to_json(scores.score)},
+                                   {"mean_colour", to_json(scores.flat)},
+                                   {"left_fully_lit", to_json(scores.unlit)},
+                                   {"distances", distances}});
+    }
+  const Json about = {{"kind", "body"},
+                      {"avatar", avatar_mark(avatar_folder)},
+                      {"frames", capture.frames.size()},
+                      {"cameras", capture.cameras.size()},
+                      {"views", options.most_views},
+                      {"lpips_net", evaluation.lpips_net},
+                      {"lpips_note", evaluation.lpips_note}};
+  write_shard(out, options.shard, about,
+              {{"groups", views},
+               {"views_left_out", evaluation.left_out},
+               {"seconds", evaluation.seconds}});
+}
+
+BodyEvaluation merge_body_shards(const StageCapture& capture, const Path& avatar_folder,
+                                 const Path& out) {
+  Json about;
+  const std::vector<Json> shards = read_shards(out, about);
+  const Path file = out / "shards";
+  if (json_field<std::string>(about, "kind", file) != "body" ||
+      json_field<std::string>(about, "avatar", file) != avatar_mark(avatar_folder) ||
+      json_field<size_t>(about, "frames", file) != capture.frames.size() ||
+      json_field<size_t>(about, "cameras", file) != capture.cameras.size())
+    throw Error(file.string() + ": the shards score another avatar or capture; give theirs.");
+  BodyEvaluation evaluation;
+  evaluation.lpips_net = json_field<std::string>(about, "lpips_net", file);
+  evaluation.lpips_note = json_field<std::string>(about, "lpips_note", file);
+  std::map<std::string, std::map<std::pair<int, int>, ViewScores>> found;
+  for (const Json& shard : shards) {
+    evaluation.left_out += json_field<size_t>(shard, "views_left_out", file);
+    evaluation.seconds += json_field<double>(shard, "seconds", file);
+    const Json groups = json_field<Json>(shard, "groups", file);
+    for (const auto& [name, views] : groups.items())
+      for (const Json& view : views) {
+        const ViewScores scores = view_scores(view, file);
+        found[name][{scores.view.frame, scores.view.camera}] = scores;
+      }
+  }
+  // The order of one run, in which the means are taken.
+  size_t total = 0, known = 0;
+  for (const ScoredGroup& wanted :
+       scored_groups(capture, json_field<size_t>(about, "views", file))) {
+    ViewGroup group{wanted.name, wanted.title, {}};
+    for (const StageViewKey& key : wanted.views) {
+      const auto at = found[wanted.name].find({key.frame, key.camera});
+      if (at != found[wanted.name].end()) group.views.push_back(at->second);
+    }
+    total += wanted.views.size();
+    known += group.views.size();
+    if (!group.views.empty()) evaluation.groups.push_back(std::move(group));
+  }
+  if (known + evaluation.left_out != total || evaluation.groups.empty())
+    throw Error(file.string() + ": the shards hold " + std::to_string(known) + " of " +
+                std::to_string(total) + " views; run them again with the same capture.");
+  return evaluation;
+}
+
+}  // namespace effigy
