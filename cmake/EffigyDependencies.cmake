@@ -21,6 +21,8 @@ if(EFFIGY_LEARN)
   # Caffe2's CMake files call find_package(CUDA) loudly; the Debian build has none.
   find_package(Torch REQUIRED)       # infer, learn: tensors, networks
   find_package(Ceres REQUIRED)       # track: robust non-linear least squares
+  set(MPI_CXX_SKIP_MPICXX TRUE)      # only MPI's functions, not its old C++ classes
+  find_package(MPI REQUIRED COMPONENTS CXX)  # learn: training on more than one machine
 endif()
 if(EFFIGY_TESTS)
   find_package(GTest REQUIRED)

@@ -20,17 +20,20 @@ struct Outcome {
   }
 };
 
-inline Outcome run(const std::string& arguments) {
+inline Outcome run_command(const std::string& command) {
   ScratchFolder scratch;
-  const std::string program = EFFIGY_BINARY_DIR "/bin/effigy";
-  const int status = std::system((program + " " + arguments + " >" + (scratch / "out").string() +
-                                  " 2>" + (scratch / "err").string() + " </dev/null")
+  const int status = std::system((command + " >" + (scratch / "out").string() + " 2>" +
+                                  (scratch / "err").string() + " </dev/null")
                                      .c_str());
   Outcome outcome;
   outcome.code = WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
   outcome.out = read_text(scratch / "out");
   outcome.err = read_text(scratch / "err");
   return outcome;
+}
+
+inline Outcome run(const std::string& arguments) {
+  return run_command(EFFIGY_BINARY_DIR "/bin/effigy " + arguments);
 }
 
 }  // namespace effigy::test

@@ -8,24 +8,30 @@
 namespace effigy {
 namespace {
 
-// A short text that changes when the capture's frames, cameras or rig do.
-std::string fingerprint(const StageCapture& capture) {
-  uint64_t hash = 1469598103934665603ULL;  // FNV-1a
-  const auto mix = [&hash](const void* data, size_t bytes) {
+// FNV-1a.
+struct Hash {
+  uint64_t value = 1469598103934665603ULL;
+  void mix(const void* data, size_t bytes) {
     for (size_t i = 0; i < bytes; ++i)
-      hash = (hash ^ static_cast<const uint8_t*>(data)[i]) * 1099511628211ULL;
-  };
+      value = (value ^ static_cast<const uint8_t*>(data)[i]) * 1099511628211ULL;
+  }
+  void mix(std::span<const float> numbers) { mix(numbers.data(), numbers.size_bytes()); }
+};
+
+// A short text that changes when the capture's frames, cameras or rig do.
+std::string fingerprint_of(const StageCapture& capture) {
+  Hash hash;
   for (const StageFrame& frame : capture.frames) {
-    mix(&frame.number, sizeof frame.number);
-    mix(&frame.split, sizeof frame.split);
+    hash.mix(&frame.number, sizeof frame.number);
+    hash.mix(&frame.split, sizeof frame.split);
   }
   for (const StageCamera& camera : capture.cameras) {
-    mix(camera.name.data(), camera.name.size());
-    mix(&camera.test, sizeof camera.test);
+    hash.mix(camera.name.data(), camera.name.size());
+    hash.mix(&camera.test, sizeof camera.test);
   }
-  mix(capture.body_keypoints.data(), capture.body_keypoints.size() * sizeof(float));
-  mix(capture.rig.mesh.vertices.data(), capture.rig.mesh.vertices.size() * sizeof(float));
-  return std::to_string(hash);
+  hash.mix(capture.body_keypoints);
+  hash.mix(capture.rig.mesh.vertices);
+  return std::to_string(hash.value);
 }
 
 std::vector<float> pack(const std::vector<CameraColour>& colours) {
@@ -39,13 +45,25 @@ std::vector<float> pack(const std::vector<CameraColour>& colours) {
 
 }  // namespace
 
+uint64_t BodyTrainer::fingerprint() const {
+  State& s = *state_;
+  Hash hash;
+  const std::string made_on = fingerprint_of(s.capture) + to_json(s.settings).dump();
+  hash.mix(made_on.data(), made_on.size());
+  for (const BodyParameter& parameter : s.model.networks().parameters()) hash.mix(parameter.value);
+  hash.mix(s.model.maps().albedo);
+  hash.mix(s.model.maps().log_roughness);
+  hash.mix(pack(s.colours));
+  return hash.value;
+}
+
 void BodyTrainer::save_checkpoint(const Path& path) const {
   State& s = *state_;
   TensorFile file;
   file.metadata = {
-      {"format", "effigy-checkpoint"},          {"capture", fingerprint(s.capture)},
+      {"format", "effigy-checkpoint"},          {"capture", fingerprint_of(s.capture)},
       {"settings", to_json(s.settings).dump()}, {"iteration", std::to_string(s.iteration)},
-      {"order", std::to_string(s.order)},       {"view", std::to_string(s.views->number())}};
+      {"order", std::to_string(s.order)},       {"view", std::to_string(s.next_number())}};
   s.model.save(file);
   const std::vector<BodyParameter> parameters = s.model.networks().parameters();
   for (size_t p = 0; p < parameters.size(); ++p)
@@ -69,7 +87,7 @@ void BodyTrainer::load_checkpoint(const Path& path) {
     const auto found = file.metadata.find(name);
     return found == file.metadata.end() ? std::string() : found->second;
   };
-  if (meta("capture") != fingerprint(s.capture))
+  if (meta("capture") != fingerprint_of(s.capture))
     throw Error(path.string() +
                 ": the checkpoint belongs to another capture (or its tracking has changed); train "
                 "without --resume.");

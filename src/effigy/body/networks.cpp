@@ -36,7 +36,7 @@ at::Tensor copy_of(std::span<const float> values, const std::vector<int64_t>& sh
   return tensor;
 }
 
-std::span<const float> values_of(const at::Tensor& tensor) {
+std::span<float> values_of(const at::Tensor& tensor) {
   return {tensor.data_ptr<float>(), static_cast<size_t>(tensor.numel())};
 }
 
@@ -236,7 +236,7 @@ std::vector<BodyParameter> BodyNetworks::parameters() {
     if (gradient.defined() && !gradient.is_contiguous()) gradient = gradient.contiguous();
     list.push_back({parameter.name,
                     {parameter.value.data_ptr<float>(), count},
-                    gradient.defined() ? values_of(gradient) : std::span<const float>()});
+                    gradient.defined() ? values_of(gradient) : std::span<float>()});
   }
   return list;
 }

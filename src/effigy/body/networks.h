@@ -26,7 +26,7 @@ KeypointScale keypoint_scale(std::span<const float> frames, int keypoints);
 struct BodyParameter {
   std::string name;
   std::span<float> value;
-  std::span<const float> gradient;  // empty when nothing was passed back since clear_gradients()
+  std::span<float> gradient;  // empty when nothing was passed back since clear_gradients()
 };
 
 class BodyNetworks {

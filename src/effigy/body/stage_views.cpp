@@ -244,26 +244,31 @@ struct StageViews::State {
   void work() {
     std::unique_lock lock(mutex);
     while (true) {
-      changed.wait(lock, [&] { return stop || started < taken + ring.size(); });
+      changed.wait(lock, [&] { return stop || started < taken + ring.size() * options.stride; });
       if (stop || ended(started)) return;
-      const uint64_t number = started++;
+      const uint64_t number = std::exchange(started, started + options.stride);
       lock.unlock();
       Ticket ticket = load(number);
       ticket.ready = true;
       lock.lock();
-      ring[number % ring.size()] = std::move(ticket);
+      slot(number) = std::move(ticket);
       changed.notify_all();
     }
   }
 
-  // The ticket of number `taken`, which then is the next one.
+  Ticket& slot(uint64_t number) { return ring[number / options.stride % ring.size()]; }
+
+  // The ticket of number `taken`; then comes the next one.
   Ticket take() {
-    if (options.threads <= 0) return load(taken++);
+    const uint64_t number = taken;
+    if (options.threads <= 0) {
+      taken += options.stride;
+      return load(number);
+    }
     std::unique_lock lock(mutex);
-    Ticket& slot = ring[taken % ring.size()];
-    changed.wait(lock, [&] { return slot.ready; });
-    Ticket ticket = std::exchange(slot, Ticket());
-    ++taken;
+    changed.wait(lock, [&] { return slot(number).ready; });
+    Ticket ticket = std::exchange(slot(number), Ticket());
+    taken += options.stride;
     lock.unlock();
     changed.notify_all();
     return ticket;

@@ -95,6 +95,8 @@ struct StageViewsOptions {
   int threads = 1;      // that decode ahead; 0: the caller's
   int ahead = 4;        // views decoded and not yet taken, at most
   bool endless = true;  // epoch after epoch; else the schedule once
+  // Only every so-manieth view from the first on: one process's share of many (learn/ranks.h).
+  uint64_t stride = 1;
 };
 
 // The views of a schedule, one after the other: the same for every number of threads.

@@ -2,8 +2,10 @@
 
 #include "effigy/body/train_run.h"
 
+#include <algorithm>
 #include <chrono>
 #include <numbers>
+#include <optional>
 
 #include "effigy/base/log.h"
 #include "effigy/base/progress.h"
@@ -22,11 +24,12 @@ constexpr int kMostReturns = 5;  // to a checkpoint, after the loss exploded
 class BodyTrainRun {
  public:
   BodyTrainRun(const StageCapture& capture, const BodyTrainSettings& settings, const Path& out,
-               const BodyTrainOptions& options)
+               const BodyTrainOptions& options, Ranks& ranks)
       : capture_(capture),
         out_(out),
         options_(options),
-        trainer_(capture, settings, options.perceptual) {
+        ranks_(ranks),
+        trainer_(capture, settings, options.perceptual, ranks) {
     if (std::filesystem::exists(out) && !std::filesystem::is_directory(out))
       throw Error("Cannot write " + out.string() +
                   ": a file of that name is in the way; choose another -o.");
@@ -38,18 +41,21 @@ class BodyTrainRun {
     if (!frames.empty()) held_out_ = scored_views(capture, frames, cameras, kHeldOutViews);
     if (!options.resume) return;
     trainer_.load_checkpoint(checkpoint_path());
+    checkpointed_ = true;
     if (std::filesystem::exists(progress_path())) {
       const Json before = read_json(progress_path());
       curve_.restore(before);
       seconds_before_ = before.value("seconds", 0.0);
     }
-    log_info(format("going on from iteration {}", trainer_.iteration()));
+    if (first()) log_info(format("going on from iteration {}", trainer_.iteration()));
   }
 
   Json run() {
     const BodyTrainSettings& settings = trainer_.settings();
+    check_same_model();
     try {
-      Progress progress("training", "it", settings.iterations, trainer_.iteration());
+      std::optional<Progress> progress;
+      if (first()) progress.emplace("training", "it", settings.iterations, trainer_.iteration());
       double loss = 0;
       std::string held_out_text;
       while (trainer_.iteration() < settings.iterations) {
@@ -62,18 +68,42 @@ class BodyTrainRun {
           held_out_text = format(", held-out PSNR {:.2f} dB", psnr);
         }
         if (now % settings.checkpoint_every == 0) save_progress();
-        progress.update(now, format("L1 {:.4f}{}", loss, held_out_text));
+        together(ranks_, [&] {
+          if (progress)
+            progress->update(now, format("L1 {:.4f}{}", loss, held_out_text));
+          else
+            throw_if_interrupted();
+        });
       }
     } catch (const Interrupted&) {
       save_progress();
-      throw Error("Interrupted at iteration " + std::to_string(trainer_.iteration()) +
-                      "; go on with --resume.",
-                  Blame::kResource);
+      together(ranks_, [&] {
+        throw Error("Interrupted at iteration " + std::to_string(trainer_.iteration()) +
+                        "; go on with --resume.",
+                    Blame::kResource);
+      });
     }
-    return finish();
+    check_same_model();
+    const auto memory = static_cast<double>(peak_memory_bytes());
+    const std::vector<double> memories = ranks_.gather({&memory, 1});
+    Json result;
+    together(ranks_, [&] {
+      if (first()) result = finish(*std::max_element(memories.begin(), memories.end()));
+    });
+    return result;
   }
 
  private:
+  bool first() const { return ranks_.rank() == 0; }
+  // Processes on different processors round differently; here it is found out.
+  void check_same_model() {
+    if (ranks_.size() > 1)
+      check_alike(ranks_, trainer_.fingerprint(),
+                  "do not hold the same model at iteration " +
+                      std::to_string(trainer_.iteration()) +
+                      "; use nodes with the same processor, one version of the program, the same "
+                      "--threads and the same capture.");
+  }
   Path checkpoint_path() const { return out_ / "checkpoint.safetensors"; }
   Path progress_path() const { return out_ / "checkpoint.json"; }
   double elapsed() const {
@@ -89,29 +119,44 @@ class BodyTrainRun {
       loss += 0.05 * (losses.at("l1") - loss);
       return true;
     } catch (const Diverged& problem) {
-      if (++returns_ > kMostReturns || !std::filesystem::exists(checkpoint_path())) throw;
-      trainer_.load_checkpoint(checkpoint_path());
+      if (++returns_ > kMostReturns || !checkpointed_) throw;
+      together(ranks_, [&] { trainer_.load_checkpoint(checkpoint_path()); });
       for (int k = 0; k < returns_; ++k) trainer_.change_order();
-      log_warning(std::string(problem.what()) + " Going on from iteration " +
-                  std::to_string(trainer_.iteration()) + " with other views.");
+      if (first())
+        log_warning(std::string(problem.what()) + " Going on from iteration " +
+                    std::to_string(trainer_.iteration()) + " with other views.");
       return false;
     }
   }
 
+  // The processes take turns at the views.
   double held_out_psnr() {
-    trainer_.model().networks().set_training(false);
-    BodyViewer viewer(trainer_.settings(), trainer_.model(), trainer_.moments());
-    std::vector<BodyScore> scores;
-    for (const StageViewKey& view : held_out_) scores.push_back(score_of(viewer.draw(view)));
-    trainer_.model().networks().set_training(true);
+    std::vector<double> mine(held_out_.size());
+    together(ranks_, [&] {
+      trainer_.model().networks().set_training(false);
+      BodyViewer viewer(trainer_.settings(), trainer_.model(), trainer_.moments());
+      const auto stride = static_cast<size_t>(ranks_.size());
+      for (auto k = static_cast<size_t>(ranks_.rank()); k < mine.size(); k += stride)
+        mine[k] = score_of(viewer.draw(held_out_[k])).psnr;
+      trainer_.model().networks().set_training(true);
+    });
+    const std::vector<double> all = ranks_.gather(mine);
+    std::vector<BodyScore> scores(mine.size());
+    for (size_t k = 0; k < scores.size(); ++k)
+      scores[k].psnr = all[k % static_cast<size_t>(ranks_.size()) * scores.size() + k];
     return mean_score(scores).psnr;
   }
 
   void save_progress() {
-    trainer_.save_checkpoint(checkpoint_path());
-    write_json(
-        progress_path(),
-        {{"seconds", elapsed()}, {"losses", curve_.losses()}, {"heldout", curve_.heldout()}});
+    check_same_model();
+    together(ranks_, [&] {
+      if (!first()) return;
+      trainer_.save_checkpoint(checkpoint_path());
+      write_json(
+          progress_path(),
+          {{"seconds", elapsed()}, {"losses", curve_.losses()}, {"heldout", curve_.heldout()}});
+    });
+    checkpointed_ = true;
   }
 
   Json provenance() const {
@@ -149,14 +194,15 @@ class BodyTrainRun {
     return *best;
   }
 
-  Json finish() {
+  Json finish(double peak_memory) {
     const double seconds = elapsed();
     const int64_t iterations = trainer_.iteration();
     BodyDriver driver(capture_);
     const Json result = {{"iterations", iterations},
                          {"seconds", seconds},
                          {"iterations_per_second", seconds > 0 ? iterations / seconds : 0.0},
-                         {"peak_memory_bytes", peak_memory_bytes()},
+                         {"peak_memory_bytes", static_cast<uint64_t>(peak_memory)},
+                         {"processes", ranks_.size()},
                          {"threads", thread_count()},
                          {"gaussians", trainer_.model().texels().count()},
                          {"keypoints_from_rig_worst_m", driver.worst()},
@@ -190,19 +236,24 @@ class BodyTrainRun {
   const StageCapture& capture_;
   Path out_;
   BodyTrainOptions options_;
+  Ranks& ranks_;
   BodyTrainer trainer_;
   TrainingCurve curve_;
   std::vector<StageViewKey> held_out_;
   std::chrono::steady_clock::time_point begin_ = std::chrono::steady_clock::now();
   double seconds_before_ = 0;
   int returns_ = 0;
+  bool checkpointed_ = false;  // a checkpoint of this run is there to go back to
 };
 
 }  // namespace
 
 Json train_body(const StageCapture& capture, const BodyTrainSettings& settings, const Path& out,
-                const BodyTrainOptions& options) {
-  return BodyTrainRun(capture, settings, out, options).run();
+                const BodyTrainOptions& options, Ranks& ranks) {
+  // Until here the processes have nothing in common but what they read.
+  std::optional<BodyTrainRun> run;
+  together(ranks, [&] { run.emplace(capture, settings, out, options, ranks); });
+  return run->run();
 }
 
 }  // namespace effigy

@@ -6,6 +6,7 @@
 #include "effigy/body/losses.h"
 #include "effigy/body/train_settings.h"
 #include "effigy/capture/stage_capture.h"
+#include "effigy/learn/ranks.h"
 
 namespace effigy {
 
@@ -16,8 +17,9 @@ struct BodyTrainOptions {
 };
 
 // Trains (or resumes), with checkpoints in OUT/checkpoint.safetensors, and writes the avatar folder
-// with training.json. Returns training.json.
+// with training.json. Returns training.json. Many processes call it alike; `out` is the same folder
+// for all, into which the first one writes; the others get an empty result.
 Json train_body(const StageCapture& capture, const BodyTrainSettings& settings, const Path& out,
-                const BodyTrainOptions& options);
+                const BodyTrainOptions& options, Ranks& ranks = one_process());
 
 }  // namespace effigy

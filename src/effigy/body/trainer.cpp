@@ -65,10 +65,11 @@ BodyDrawOptions draw_options(const BodyTrainSettings& settings) {
 }
 
 BodyTrainer::State::State(const StageCapture& capture_in, const BodyTrainSettings& settings_in,
-                          PictureDistance perceptual_in)
+                          PictureDistance perceptual_in, Ranks& ranks_in)
     : capture(capture_in),
       source(capture_in),
       settings(settings_in),
+      ranks(ranks_in),
       model(capture_in.rig.mesh, network_settings(capture_in, settings_in), settings_in.seed),
       moments(source, model.shadow_texels(), settings_in),
       options(draw_options(settings_in)),
@@ -83,6 +84,9 @@ BodyTrainer::State::State(const StageCapture& capture_in, const BodyTrainSetting
   if ((settings.perceptual != "none") != static_cast<bool>(perceptual))
     throw Error("The perceptual term '" + settings.perceptual +
                 "' needs its network; name it by --perceptual, which finds the file.");
+  if (settings.batch % ranks.size() != 0)
+    throw Error("A batch of " + std::to_string(settings.batch) + " views does not divide among " +
+                std::to_string(ranks.size()) + " processes; start another number of them.");
   prepare_model();
   scale_keypoints(source, model.networks());
   if (settings.shadow) model.networks().set_mean_irradiance(moments.mean_irradiance(frames));
@@ -106,7 +110,9 @@ void BodyTrainer::State::go_to(uint64_t number) {
   const uint64_t seed = settings.seed + kOrderSeeds * static_cast<uint64_t>(order);
   StageViewsOptions ahead;
   ahead.crop = {settings.crop, kBorder, seed};
-  views.emplace(source, StageSchedule::random(capture, frames, cameras, seed), ahead, number);
+  ahead.stride = static_cast<uint64_t>(ranks.size());
+  views.emplace(source, StageSchedule::random(capture, frames, cameras, seed), ahead,
+                number + static_cast<uint64_t>(ranks.rank()));
 }
 
 double BodyTrainer::State::rate_factor() const {
@@ -143,6 +149,13 @@ double BodyTrainer::State::total(const BodyLossValues& values) const {
   double sum = 0;
   for (const auto& [name, value] : values) sum += weights.at(name) * value;
   return sum;
+}
+
+void BodyTrainer::State::clear_gradients() {
+  model.networks().clear_gradients();
+  d_maps.albedo.assign(model.maps().albedo.size(), 0.0f);
+  d_maps.log_roughness.assign(model.maps().log_roughness.size(), 0.0f);
+  d_colours.assign(colours.size(), {});
 }
 
 // Draws one view and adds its gradients; losses are added as part of the batch's mean.
@@ -186,6 +199,43 @@ void BodyTrainer::State::draw_view(BodyLossValues& mean) {
   for (const auto& [name, value] : values) mean[name] += value / settings.batch;
 }
 
+std::vector<std::span<float>> BodyTrainer::State::gradients() {
+  std::vector<std::span<float>> list;
+  for (const BodyParameter& parameter : model.networks().parameters())
+    if (!parameter.gradient.empty()) list.push_back(parameter.gradient);
+  list.emplace_back(d_maps.albedo);
+  list.emplace_back(d_maps.log_roughness);
+  return list;
+}
+
+// Floating-point sums depend on their order. Here it is the order of the views, as in one process:
+// round by round every process draws one view, and each sums a part of the arrays over all of them.
+void BodyTrainer::State::draw_batch_together(BodyLossValues& mean) {
+  std::vector<std::array<double, 6>> colour_sums(colours.size());
+  sums.clear();
+  for (int round = 0; round < settings.batch / ranks.size(); ++round) {
+    BodyLossValues losses;
+    clear_gradients();
+    together(ranks, [&] { draw_view(losses); });
+    std::vector<double> mine = {static_cast<double>(view.camera)};
+    const std::array<double, 6>& colour = d_colours[static_cast<size_t>(view.camera)];
+    mine.insert(mine.end(), colour.begin(), colour.end());
+    for (const auto& [name, value] : losses) mine.push_back(value);
+    const std::vector<double> all = ranks.gather(mine);
+    for (auto at = all.begin(); at != all.end();) {
+      std::array<double, 6>& sum = colour_sums[static_cast<size_t>(*at++)];
+      for (double& d : sum) d += *at++;
+      for (const auto& [name, value] : losses) mean[name] += *at++;
+    }
+    const std::vector<std::span<float>> arrays = gradients();
+    sums.resize(arrays.size());
+    for (size_t k = 0; k < arrays.size(); ++k) ranks.add_part(arrays[k], sums[k]);
+  }
+  const std::vector<std::span<float>> arrays = gradients();
+  for (size_t k = 0; k < arrays.size(); ++k) ranks.gather_parts(sums[k], arrays[k]);
+  d_colours = std::move(colour_sums);
+}
+
 void BodyTrainer::State::update_networks() {
   const std::vector<BodyParameter> parameters = model.networks().parameters();
   double square = 0;
@@ -209,7 +259,6 @@ void BodyTrainer::State::update_networks() {
     }
     adam_step(parameters[p].value, gradient, networks[p], rate, kAdam);
   }
-  model.networks().clear_gradients();
 }
 
 void BodyTrainer::State::update_maps() {
@@ -244,22 +293,24 @@ void BodyTrainer::State::update_colours() {
 }
 
 BodyLossValues BodyTrainer::State::step() {
-  d_maps.albedo.assign(model.maps().albedo.size(), 0.0f);
-  d_maps.log_roughness.assign(model.maps().log_roughness.size(), 0.0f);
-  d_colours.assign(colours.size(), {});
   BodyLossValues mean;
-  for (int b = 0; b < settings.batch; ++b) draw_view(mean);
+  clear_gradients();
+  if (ranks.size() > 1)
+    draw_batch_together(mean);
+  else
+    for (int b = 0; b < settings.batch; ++b) draw_view(mean);
   const double loss = total(mean);
   const double before = std::accumulate(recent.begin(), recent.end(), 0.0) /
                         static_cast<double>(std::max<size_t>(recent.size(), 1));
   const bool burst =
       settings.explosion > 0 && recent.size() == kRecent && loss > settings.explosion * before;
   if (!std::isfinite(loss) || burst) {
-    model.networks().clear_gradients();
-    throw Diverged("Training diverged at iteration " + std::to_string(iteration) +
-                       ": the loss jumped from " + std::to_string(before) + " to " +
-                       std::to_string(loss) + "; lower rate.networks (--set).",
-                   Blame::kInternal);
+    together(ranks, [&] {
+      throw Diverged("Training diverged at iteration " + std::to_string(iteration) +
+                         ": the loss jumped from " + std::to_string(before) + " to " +
+                         std::to_string(loss) + "; lower rate.networks (--set).",
+                     Blame::kInternal);
+    });
   }
   recent.push_back(static_cast<float>(loss));
   if (recent.size() > kRecent) recent.pop_front();
@@ -276,8 +327,8 @@ BodyLossValues BodyTrainer::State::step() {
 }
 
 BodyTrainer::BodyTrainer(const StageCapture& capture, const BodyTrainSettings& settings,
-                         PictureDistance perceptual)
-    : state_(std::make_unique<State>(capture, settings, std::move(perceptual))) {}
+                         PictureDistance perceptual, Ranks& ranks)
+    : state_(std::make_unique<State>(capture, settings, std::move(perceptual), ranks)) {}
 BodyTrainer::~BodyTrainer() = default;
 
 int64_t BodyTrainer::iteration() const {
@@ -288,7 +339,7 @@ BodyLossValues BodyTrainer::step() {
 }
 void BodyTrainer::change_order() {
   ++state_->order;
-  state_->go_to(state_->views->number());
+  state_->go_to(state_->next_number());
 }
 const BodyTrainSettings& BodyTrainer::settings() const {
   return state_->settings;

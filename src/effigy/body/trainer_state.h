@@ -14,11 +14,12 @@ namespace effigy {
 
 struct BodyTrainer::State {
   State(const StageCapture& capture_in, const BodyTrainSettings& settings_in,
-        PictureDistance perceptual_in);
+        PictureDistance perceptual_in, Ranks& ranks_in);
 
   const StageCapture& capture;
   StageSource source;
   BodyTrainSettings settings;
+  Ranks& ranks;
   BodyModel model;
   StageMoments moments;
   BodyDrawOptions options;
@@ -41,14 +42,22 @@ struct BodyTrainer::State {
   BodyMaps d_maps;
   std::vector<float> d_decoded, d_diffuse, scaled;
   std::vector<std::array<double, 6>> d_colours;
+  std::vector<std::vector<float>> sums;  // this process's parts of the gradients
 
   std::optional<StageViews> views;  // decoded ahead
   double rate_factor() const;
   double normal_weight() const;
   double total(const BodyLossValues& values) const;
-  // Views from this one of the present order on.
+  // Views from this one of the present order on; of many processes each has every so-manieth.
   void go_to(uint64_t number);
+  // The first view of the next step.
+  uint64_t next_number() const { return views->number() - static_cast<uint64_t>(ranks.rank()); }
+  void clear_gradients();
   void draw_view(BodyLossValues& mean);
+  // What draw_view adds for all views of the batch, on all processes, in the order of the views.
+  void draw_batch_together(BodyLossValues& mean);
+  // The gradients of networks and maps, in a fixed order; those there are.
+  std::vector<std::span<float>> gradients();
   void update_networks();
   void update_maps();
   void update_colours();

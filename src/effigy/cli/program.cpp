@@ -37,6 +37,23 @@ int complain(const std::string& sentence, int code) {
 
 }  // namespace
 
+int complain_of_exception(bool aloud) {
+  const auto end = [aloud](const std::string& sentence, int code) {
+    return aloud ? complain(sentence, code) : code;
+  };
+  try {
+    throw;
+  } catch (const Interrupted& interrupted) {
+    return end(interrupted.what(), 130);
+  } catch (const Error& error) {
+    return end(error.what(), error.exit_code());
+  } catch (const std::bad_alloc&) {
+    return end("Out of memory; close other programs or lower --size.", 1);
+  } catch (const std::exception& problem) {
+    return end(std::string("Internal error: ") + problem.what() + "; please report it.", 1);
+  }
+}
+
 int run_program(const std::vector<Command>& commands, int argc, char** argv) {
   install_interrupt_handler();
   if (argc < 2) {
@@ -56,14 +73,8 @@ int run_program(const std::vector<Command>& commands, int argc, char** argv) {
     if (name != command.name) continue;
     try {
       return command.run(argc - 1, argv + 1);
-    } catch (const Interrupted& interrupted) {
-      return complain(interrupted.what(), 130);
-    } catch (const Error& error) {
-      return complain(error.what(), error.exit_code());
-    } catch (const std::bad_alloc&) {
-      return complain("Out of memory; close other programs or lower --size.", 1);
-    } catch (const std::exception& problem) {
-      return complain(std::string("Internal error: ") + problem.what() + "; please report it.", 1);
+    } catch (const std::exception&) {
+      return complain_of_exception();
     }
   }
   return complain("Unknown command '" + name + "'; see 'effigy --help'.", 2);

@@ -17,6 +17,10 @@ struct Command {
 // results only.
 int run_program(const std::vector<Command>& commands, int argc, char** argv);
 
+// The exit code of the exception that is being handled; says its sentence on standard error, unless
+// another process of the job does.
+int complain_of_exception(bool aloud = true);
+
 // Replaces this process by effigy-learn, which stands beside it, with the same arguments. Throws
 // Error when it cannot be started.
 int hand_over(int argc, char** argv);

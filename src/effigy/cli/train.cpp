@@ -7,6 +7,7 @@
 #include "effigy/cli/family.h"
 #include "effigy/cli/program.h"
 #include "effigy/head/trainer.h"
+#include "effigy/learn/ranks.h"
 
 namespace effigy {
 
@@ -41,6 +42,8 @@ int run_train(int argc, char** argv) {
   add_common(app, common, true, true);
   if (!parse_command_line(app, argc, argv, common)) return 0;
 
+  if (job_size() > 1)
+    throw Error("Heads are trained by one process; start it without mpirun or srun.");
   TrainSettings settings = TrainSettings::from_preset(preset);
   if (paper_literal) settings.make_paper_literal();
   settings.seed = common.seed;
