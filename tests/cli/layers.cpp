@@ -53,6 +53,9 @@ TEST(Layers, TorchStaysWhereItBelongs) {
       if (text.find(std::string("#include \"") + header) != std::string::npos) {
         EXPECT_TRUE(room == "infer" || room == "body" || path.stem() == "layers") << path;
       }
+    if (text.find("#include <mpi.h>") != std::string::npos) {
+      EXPECT_EQ(path.filename(), "mpi_ranks.cpp") << path;
+    }
     if (text.find("#include <libav") != std::string::npos && path.filename() != "ffmpeg.h" &&
         path.filename() != "avif.cpp") {
       EXPECT_EQ(path.filename().string().rfind("video", 0), 0u) << path;
