@@ -66,8 +66,10 @@ bool parse(int argc, char** argv, BodyTrainCommand& command) {
   Json overrides = parse_assignments(assignments);
   if (perceptual.empty() && paper_literal) perceptual = "auto";
   if (!perceptual.empty()) overrides["perceptual"] = training_network(perceptual, models);
-  // The paper has LPIPS where we have SSIM.
-  if (paper_literal && overrides["perceptual"] != "none" && !overrides.contains("weight.dssim"))
+  // The paper has LPIPS where we have SSIM; the small network's features are no LPIPS.
+  const bool lpips = overrides.contains("perceptual") && overrides["perceptual"] != "none" &&
+                     overrides["perceptual"] != "squeezenet10";
+  if (paper_literal && lpips && !overrides.contains("weight.dssim"))
     overrides["weight.dssim"] = 0.0;
   if (!size.empty()) overrides["size"] = size;
   if (iterations != 0) overrides["iterations"] = iterations;
