@@ -13,6 +13,7 @@ namespace {
 
 constexpr int kPyramidLevels = 4;
 constexpr size_t kGrain = 8192;
+constexpr size_t kStretch = 128;  // pixels that are left out together when all are empty
 
 // Display encoding that goes on beyond 1, so that a pixel that is too bright still has a gradient.
 float encode(float linear, DisplayTransform display, float& slope) {
@@ -100,7 +101,7 @@ void body_display(const BodyPicture& picture, const CameraColour& camera, const 
   const std::span<const float> alpha = picture.alpha();
   if (encoded.width != radiance.width || encoded.height != radiance.height || encoded.count != 3)
     encoded = Planes(radiance.width, radiance.height, 3);
-  parallel_for(radiance.pixels(), kGrain, [&](size_t begin, size_t end, int) {
+  const auto encode_stretch = [&](size_t begin, size_t end) {
     for (int c = 0; c < 3; ++c) {
       const auto k = static_cast<size_t>(c);
       for (size_t p = begin; p < end; ++p) {
@@ -109,6 +110,21 @@ void body_display(const BodyPicture& picture, const CameraColour& camera, const 
                              (1 - alpha[p]) * behind(target, c, p);
         encoded.plane(c)[p] = encode(linear, target.display, slope);
       }
+    }
+  };
+  const bool black = target.background.data.empty();
+  const auto empty = [](float a) { return a == 0.0f; };
+  const size_t pixels = radiance.pixels(), stretches = (pixels + kStretch - 1) / kStretch;
+  parallel_for(stretches, kGrain / kStretch, [&](size_t first, size_t last, int) {
+    for (size_t begin = first * kStretch; begin < std::min(last * kStretch, pixels);
+         begin += kStretch) {
+      const size_t end = std::min(begin + kStretch, pixels);
+      if (black && std::all_of(alpha.begin() + static_cast<ptrdiff_t>(begin),
+                               alpha.begin() + static_cast<ptrdiff_t>(end), empty))
+        for (int c = 0; c < 3; ++c)
+          std::fill(encoded.plane(c) + begin, encoded.plane(c) + end, 0.0f);
+      else
+        encode_stretch(begin, end);
     }
   });
 }

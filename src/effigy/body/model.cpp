@@ -78,8 +78,8 @@ void BodyModel::save(TensorFile& file) const {
   file.tensors[kRoughness] = Tensor::from(std::span<const float>(maps_.log_roughness), {count});
 }
 
-void BodyModel::pose(const BodyMoment& moment) {
-  frames_ = texel_frames(texels_, moment.vertices, triangles_);
+void BodyModel::pose(const BodyMoment& moment, std::span<const float> normals) {
+  frames_ = texel_frames(texels_, moment.vertices, triangles_, normals);
   decoded_ = networks_.decode(moment.body_keypoints, moment.face_keypoints);
   place_gaussians(texels_, frames_, decoded_, surface_.placed);
   for (size_t i = 0; i < start_transfer_.size(); ++i)

@@ -42,8 +42,8 @@ class BodyModel {
 
   // Decodes a moment; how it is shadowed; how it looks from `eye` (world). All three, in this
   // order, before drawing; afterwards `look` alone when only the camera moves, `light` alone when
-  // only lights do.
-  void pose(const BodyMoment& moment);
+  // only lights do. normals: the vertices', where they are known already.
+  void pose(const BodyMoment& moment, std::span<const float> normals = {});
   // Pictures of shadow_side^2, one for each part of the light; empty: no shadow.
   void light(std::span<const float> irradiance);
   void look(const Vec3f& eye);

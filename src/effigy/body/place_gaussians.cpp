@@ -17,7 +17,9 @@ constexpr size_t kZonal = Channels::kNormal - Channels::kColoured;
 
 // log(1 + e^x) and its inverse, without overflow, exact for small values.
 float softplus(float x) {
-  return std::max(x, 0.0f) + std::log1p(std::exp(-std::abs(x)));
+  // log(1 + e), whose rounding of 1 + e is taken back out (Kahan's form, faster than log1p).
+  const float e = std::exp(-std::abs(x)), u = 1.0f + e;
+  return std::max(x, 0.0f) + (u == 1.0f ? e : std::log(u) * (e / (u - 1.0f)));
 }
 float softplus_inverse(float y) {
   return y + std::log(-std::expm1(-y));

@@ -124,9 +124,11 @@ void BodyRenderer::set_pose(const RigPose& pose) {
         std::make_unique<RayScene>(moment_.vertices, avatar_.rig.mesh.triangles, RayUse::kMoving);
   else
     rays_->move(moment_.vertices);
-  avatar_.model.pose(moment_);
+  const std::vector<Vec3i>& triangles = avatar_.rig.mesh.triangles;
+  const std::vector<float> normals = vertex_normals(moment_.vertices, triangles);
+  avatar_.model.pose(moment_, normals);
   shadow_frames_ =
-      texel_frames(avatar_.model.shadow_texels(), moment_.vertices, avatar_.rig.mesh.triangles);
+      texel_frames(avatar_.model.shadow_texels(), moment_.vertices, triangles, normals);
   shadow_stale_ = true;
   eye_.reset();
 }

@@ -39,9 +39,9 @@ struct TexelFrames {
   // Where the mesh gives no direction (a degenerate triangle), some rotation.
   std::vector<float> rotation;
 };
-// vertices: 3 a vertex, posed.
+// vertices: 3 a vertex, posed; normals: vertex_normals() of them, where they are known already.
 TexelFrames texel_frames(const UvTexels& texels, std::span<const float> vertices,
-                         const std::vector<Vec3i>& triangles);
+                         const std::vector<Vec3i>& triangles, std::span<const float> normals = {});
 
 // Unit directions texel -> `eye` in the texels' frames, 3 a texel: what the view-dependent decoder
 // gets (BodyNetworks::visibility).

@@ -65,8 +65,10 @@ UvTexels uv_texels(const Mesh& mesh, int size) {
 }
 
 TexelFrames texel_frames(const UvTexels& texels, std::span<const float> vertices,
-                         const std::vector<Vec3i>& triangles) {
-  const std::vector<float> normals = vertex_normals(vertices, triangles);
+                         const std::vector<Vec3i>& triangles, std::span<const float> normals) {
+  std::vector<float> found;
+  if (normals.empty()) normals = found = vertex_normals(vertices, triangles);
+  EFFIGY_CHECK_EQ(normals.size(), vertices.size());
   TexelFrames frames;
   frames.position.resize(3 * texels.count());
   frames.rotation.resize(9 * texels.count());
