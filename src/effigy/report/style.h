@@ -42,7 +42,9 @@ table{border-collapse:collapse;min-width:50%;font-size:.94rem}
 caption{text-align:left;color:var(--soft);font-size:.88rem;padding:0 0 8px}
 th{text-align:left;font-weight:560;color:var(--soft);font-size:.86rem;border-bottom:1px solid var(--ink);
 vertical-align:bottom}
-th,td{padding:8px 28px 8px 0;white-space:nowrap}
+th,td{padding:8px 22px 8px 0}
+td.num{white-space:nowrap}
+td:first-child{min-width:12ch}
 td{border-bottom:1px solid var(--line)}
 th:last-child,td:last-child{padding-right:4px}
 .num{text-align:right}
