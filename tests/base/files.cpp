@@ -1,49 +1,27 @@
 #include <gtest/gtest.h>
-#include <sys/resource.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
 #include <algorithm>
-#include <csignal>
 #include <cstdlib>
 
 #include "base/temp_folder.h"
 #include "effigy/base/error.h"
 #include "effigy/base/file.h"
 #include "effigy/base/json.h"
+#include "full_disk.h"
 
 namespace effigy {
 namespace {
 
 namespace fs = std::filesystem;
+using test::FullDisk;
 using test::TempFolder;
 
 size_t entries(const Path& folder) {
   return static_cast<size_t>(
       std::distance(fs::directory_iterator(folder), fs::directory_iterator()));
 }
-
-// While alive, files of this process cannot grow beyond `bytes`: what a full disk looks like.
-class FullDisk {
- public:
-  explicit FullDisk(rlim_t bytes) {
-    old_signal_ = std::signal(SIGXFSZ, SIG_IGN);
-    getrlimit(RLIMIT_FSIZE, &old_);
-    rlimit limit = old_;
-    limit.rlim_cur = bytes;
-    setrlimit(RLIMIT_FSIZE, &limit);
-  }
-  ~FullDisk() {
-    setrlimit(RLIMIT_FSIZE, &old_);
-    std::signal(SIGXFSZ, old_signal_);
-  }
-  FullDisk(const FullDisk&) = delete;
-  FullDisk& operator=(const FullDisk&) = delete;
-
- private:
-  rlimit old_{};
-  void (*old_signal_)(int) = nullptr;
-};
 
 template <typename Function>
 Error caught(Function&& function) {

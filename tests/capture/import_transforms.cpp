@@ -1,6 +1,7 @@
 // Folders with transforms_*.json, made by the test, become stage captures.
 
 #include "capture/import_parts.h"
+#include "full_disk.h"
 
 namespace effigy {
 namespace {
@@ -168,6 +169,26 @@ TEST_F(TransformsLayout, EachLackIsOneSentence) {
   EXPECT_FALSE(fs::exists(at("out")));
   EXPECT_TRUE(contains(error_of([&] { import_stage("insta", at("source"), {}, at("out")); }),
                        "no importer"));
+}
+
+// Wherever it strikes, a full disk is the machine's fault and never a view that is left out.
+TEST_F(TransformsLayout, ADiskThatFillsUpEndsTheImport) {
+  int failures = 0;
+  for (rlim_t bytes = 16;; bytes *= 2) {
+    ASSERT_LT(bytes, rlim_t{1} << 24);
+    try {
+      const test::FullDisk disk(bytes);
+      import();
+      break;
+    } catch (const Error& error) {
+      ++failures;
+      EXPECT_EQ(error.blame(), Blame::kResource) << bytes << ": " << error.what();
+      EXPECT_TRUE(contains(error.what(), at("out").filename().string())) << error.what();
+    }
+    EXPECT_FALSE(fs::exists(at("out"))) << bytes;
+  }
+  EXPECT_GT(failures, 4);
+  EXPECT_EQ(read_stage_capture(at("out")).frames.size(), 7u);
 }
 
 }  // namespace
