@@ -12,6 +12,7 @@
 #include "effigy/base/threads.h"
 #include "effigy/body/body_avatar.h"
 #include "effigy/body/evaluate.h"
+#include "effigy/body/fill_maps.h"
 #include "effigy/body/trainer.h"
 #include "effigy/learn/training_log.h"
 
@@ -197,6 +198,8 @@ class BodyTrainRun {
   Json finish(double peak_memory) {
     const double seconds = elapsed();
     const int64_t iterations = trainer_.iteration();
+    trainer_.model().networks().set_training(false);
+    fill_hidden_maps(trainer_.moments(), trainer_.model());
     BodyDriver driver(capture_);
     const Json result = {{"iterations", iterations},
                          {"seconds", seconds},
