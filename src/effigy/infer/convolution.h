@@ -13,8 +13,8 @@ at::Tensor convolve(const at::Tensor& x, const at::Tensor& weight, const at::Ten
                     const std::array<int64_t, 2>& stride, const std::array<int64_t, 2>& padding,
                     const std::array<int64_t, 2>& dilation, int64_t groups);
 
-// The same for weights that are not trained: stride 1, odd kernels, their gradient by x alone, found
-// by a convolution too (libtorch's own would go by its BLAS).
+// The same for weights that are not trained: stride 1, odd kernels, their gradient by x alone,
+// found by a convolution too (libtorch's own would go by its BLAS).
 at::Tensor convolve_frozen(const at::Tensor& x, const at::Tensor& weight, const at::Tensor& bias,
                            int64_t padding);
 
