@@ -143,12 +143,12 @@ void BodyDriver::bind(const StageCapture& capture, std::span<const float> all, s
   }
 }
 
-Vec3f BodyDriver::position(const KeypointBinding& binding, std::span<const float> vertices,
-                           std::span<const float> transforms) const {
+Vec3f keypoint_position(const KeypointBinding& binding, const std::vector<Vec3i>& triangles,
+                        std::span<const float> vertices, std::span<const float> transforms) {
   const Affine world = transform(transforms, binding.joint);
   const Vec3f from = binding.triangle < 0
                          ? Vec3f(world.col(3))
-                         : point_on(triangles_[static_cast<size_t>(binding.triangle)],
+                         : point_on(triangles[static_cast<size_t>(binding.triangle)],
                                     binding.barycentric, vertices);
   return from + world.leftCols<3>() * binding.rest;
 }
@@ -161,8 +161,9 @@ BodyMoment BodyDriver::moment(const RigPose& pose) const {
                         std::vector<float>& out) {
     const Affine world = transform(transforms, root);
     for (const KeypointBinding& binding : bindings) {
-      const Vec3f local = world.leftCols<3>().transpose() *
-                          (position(binding, moment.vertices, transforms) - world.col(3));
+      const Vec3f local =
+          world.leftCols<3>().transpose() *
+          (keypoint_position(binding, triangles_, moment.vertices, transforms) - world.col(3));
       out.insert(out.end(), local.data(), local.data() + 3);
     }
   };

@@ -20,6 +20,10 @@ struct KeypointBinding {
   Vec3f rest = Vec3f::Zero();  // joint: position at rest; surface: offset at rest
 };
 
+// Where a keypoint is, from posed vertices and joint_transforms().
+Vec3f keypoint_position(const KeypointBinding& binding, const std::vector<Vec3i>& triangles,
+                        std::span<const float> vertices, std::span<const float> transforms);
+
 class BodyDriver {
  public:
   // Fits bindings over the training frames. Throws Error when the rig has no joints.
@@ -30,15 +34,17 @@ class BodyDriver {
 
   // Vertices and keypoints of a pose.
   BodyMoment moment(const RigPose& pose) const;
+  // Rig and bindings of body and face keypoints, for fitting poses to keypoints.
+  const RigShape& shape() const { return shape_; }
+  const std::vector<Vec3i>& triangles() const { return triangles_; }
+  const std::vector<KeypointBinding>& body() const { return body_; }
+  const std::vector<KeypointBinding>& face() const { return face_; }
   // Largest distance between a bound keypoint and the capture's over the frames of the fit, metres.
   double worst() const { return worst_; }
 
  private:
   void bind(const StageCapture& capture, std::span<const float> all, size_t count,
             const std::vector<int>& frames, std::vector<KeypointBinding>& bindings);
-  Vec3f position(const KeypointBinding& binding, std::span<const float> vertices,
-                 std::span<const float> transforms) const;
-
   RigShape shape_;
   std::vector<Vec3i> triangles_;
   int body_root_ = 0, face_root_ = 0;  // joints in whose frames keypoints are given

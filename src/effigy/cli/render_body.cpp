@@ -6,6 +6,7 @@
 #include "effigy/base/error.h"
 #include "effigy/base/log.h"
 #include "effigy/base/progress.h"
+#include "effigy/body/keypoint_fit.h"
 #include "effigy/body/renderer.h"
 #include "effigy/capture/stage_capture.h"
 #include "effigy/cli/command_line.h"
@@ -34,8 +35,8 @@ void declare(CLI::App& app, BodyRenderOptions& o) {
   declare_frames(app, o.frames, body_buffer_names());
   app.add_option(
       "--drive", o.drive,
-      "Poses: a track of the avatar (default train), a track file, a capture folder, or a "
-      "BVH file");
+      "Poses: a track of the avatar (default train), a track or keypoint file (.safetensors), a "
+      "capture folder, or a BVH file");
   app.add_flag("--in-place", o.in_place, "The body stays where it is; only its pose moves");
   app.add_option("--light", o.light,
                  "HDR/EXR environment, or studio (default), overcast, sunset, window");
@@ -56,6 +57,20 @@ void declare(CLI::App& app, BodyRenderOptions& o) {
                  "body; wants a --background");
 }
 
+Track keypoint_drive(const std::string& what, const BodyAvatar& avatar) {
+  const KeypointTrack keypoints = read_keypoint_track(what, avatar.driver);
+  Track track;
+  track.frames_per_second = keypoints.frames_per_second;
+  for (size_t f = 0; f < keypoints.frames; ++f) track.numbers.push_back(static_cast<int64_t>(f));
+  Progress progress("fitting poses to keypoints", "frames", static_cast<int64_t>(keypoints.frames));
+  double left = 0;
+  track.poses = fit_keypoints(avatar.driver, avatar.rig, keypoints, left,
+                              [&](size_t done) { progress.update(static_cast<int64_t>(done)); });
+  progress.finish();
+  log_info(format("keypoints are met to {:.1f} mm on average", 1e3 * left));
+  return track;
+}
+
 Track body_drive(const std::string& what, const BodyAvatar& avatar) {
   const auto own = avatar.tracks.find(what);
   if (own != avatar.tracks.end()) return own->second;
@@ -70,7 +85,8 @@ Track body_drive(const std::string& what, const BodyAvatar& avatar) {
     return track;
   }
   const std::string extension = Path(what).extension().string();
-  if (extension == ".safetensors") return read_track(what, avatar.rig);
+  if (extension == ".safetensors")
+    return is_keypoint_track(what) ? keypoint_drive(what, avatar) : read_track(what, avatar.rig);
   if (extension == ".bvh" || extension == ".BVH") {
     const Bvh bvh = read_bvh(what);
     Track track;
@@ -84,7 +100,7 @@ Track body_drive(const std::string& what, const BodyAvatar& avatar) {
   }
   throw Error("--drive " + what +
               ": neither a track of this avatar, nor a capture folder, a .bvh file or a "
-              ".safetensors track.");
+              ".safetensors file of poses or keypoints.");
 }
 
 PointLights point_lights(const std::vector<std::string>& texts, const Vec3f& center, double angle) {
