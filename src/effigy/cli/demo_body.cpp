@@ -29,7 +29,7 @@ int run_demo_body(int argc, char** argv) {
   CLI::App app(
       "Makes a light-stage capture of the built-in body, trains an avatar on it from scratch and\n"
       "scores it on cameras, lights, motion and environments that it has not seen: DIR/capture,\n"
-      "DIR/avatar, DIR/eval. About twenty minutes on two cores.\n\n"
+      "DIR/avatar, DIR/eval. About eight minutes on two cores.\n\n"
       "example: effigy demo body -o body-demo",
       "demo");
   std::string what = "body", output = "effigy-body-demo";
