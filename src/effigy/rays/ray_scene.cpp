@@ -61,10 +61,10 @@ RayScene::RayScene(std::span<const float> vertices, const std::vector<Vec3i>& tr
   State& s = *state_;
   s.scene = rtcNewScene(device());
   s.refit = use == RayUse::kMoving;
+  // Robust: no ray slips through between triangles; for shadows in playback not worth its time.
   // Only a dynamic scene of low quality has a tree of its own for each geometry, which can be
   // refitted.
-  rtcSetSceneFlags(
-      s.scene, s.refit ? RTC_SCENE_FLAG_ROBUST | RTC_SCENE_FLAG_DYNAMIC : RTC_SCENE_FLAG_ROBUST);
+  rtcSetSceneFlags(s.scene, s.refit ? RTC_SCENE_FLAG_DYNAMIC : RTC_SCENE_FLAG_ROBUST);
   if (s.refit) rtcSetSceneBuildQuality(s.scene, RTC_BUILD_QUALITY_LOW);
   if (!triangles.empty()) {
     s.geometry = rtcNewGeometry(device(), RTC_GEOMETRY_TYPE_TRIANGLE);

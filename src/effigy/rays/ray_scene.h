@@ -15,8 +15,9 @@ struct RayHit {
   float b = 0, c = 0;  // barycentric weights of the triangle's 2nd and 3rd vertex
 };
 
-// What a mesh is indexed for: the fastest rays, or moving it again and again (the tree keeps its
-// shape and only its boxes are fitted anew: a fifth of the time, rays a little slower).
+// What a mesh is indexed for: the fastest rays, none of which slips through an edge; or moving it
+// again and again (the tree keeps its shape and only its boxes are fitted anew, in a tenth of the
+// time).
 enum class RayUse { kStill, kMoving };
 
 // One triangle mesh, indexed for ray queries. Both sides of a triangle are hit. Directions need not
