@@ -20,7 +20,7 @@ pkg_check_modules(FFMPEG REQUIRED IMPORTED_TARGET
 if(EFFIGY_LEARN)
   # Caffe2's CMake files call find_package(CUDA) loudly; the Debian build has none.
   find_package(Torch REQUIRED)       # infer, learn: tensors, networks
-  find_package(Ceres REQUIRED)       # track: robust non-linear least squares
+  find_package(Ceres REQUIRED)       # track, body: non-linear least squares
   set(MPI_CXX_SKIP_MPICXX TRUE)      # only MPI's functions, not its old C++ classes
   find_package(MPI REQUIRED COMPONENTS CXX)  # learn: training on more than one machine
 endif()

@@ -7,7 +7,7 @@
 
 #include "effigy/base/random.h"
 #include "effigy/base/threads.h"
-#include "effigy/body/turned_harmonics.h"
+#include "effigy/body/harmonics.h"
 #include "effigy/light/builtin_lights.h"
 #include "support.h"
 #include "tiny_capture.h"
@@ -239,18 +239,17 @@ TEST(BodyDraw, GradientsOfThePapersProducts) {
 }
 
 TEST(BodyDraw, GradientsWithShadowsOfGroups) {
-  check_gradients(body_light_groups(two_lamps(kFar), 2), {}, 5.0f);
+  check_gradients(body_light(two_lamps(kFar), 2), {}, 5.0f);
   BodyDrawOptions options;
   options.deferred = false;
-  check_gradients(body_light_groups(two_lamps(kFar), 2), options, 0.0f);
+  check_gradients(body_light(two_lamps(kFar), 2), options, 0.0f);
   options = {};
   options.appearance = BodyAppearance::kHarmonics;
   options.divide_by_alpha = false;
-  check_gradients(body_light_groups(two_lamps(kFar), 2), options, 0.0f, {"axes"});
+  check_gradients(body_light(two_lamps(kFar), 2), options, 0.0f, {"axes"});
   options = {};
   options.appearance = BodyAppearance::kPbr;
-  check_gradients(body_light_groups(two_lamps(kFar), 2), options, 1.0f,
-                  {"axes", "zonal", "visibility"});
+  check_gradients(body_light(two_lamps(kFar), 2), options, 1.0f, {"axes", "zonal", "visibility"});
 }
 
 TEST(BodyDraw, GradientsWithoutDeferredShading) {
@@ -336,7 +335,7 @@ TEST(BodyDraw, TurnedHarmonicsHoldTheLobes) {
 TEST(BodyDraw, BandTableIsTheSameLight) {
   const Ball ball;
   const Cubemap sky = cubemap_from_equirectangular(builtin_light("sunset"), 16);
-  const std::vector<float> looked_up = radiance_of(ball, body_light(sky, true), {});
+  const std::vector<float> looked_up = radiance_of(ball, body_light(sky, 1, true), {});
   const std::vector<float> found = radiance_of(ball, body_light(sky), {});
   EXPECT_NE(looked_up, found);
   float most = 0;
@@ -454,9 +453,10 @@ TEST(BodyDraw, ShadowsOfGroupsKeepLightLinear) {
       Ball both(0.15, 24, 14 + transfer_coefficients(appearance));
       const size_t n = both.surface.count();
       const PointLights lamps = two_lamps();
-      EXPECT_EQ(radiance_of(both, body_light_groups(lamps, 1), options),
-                radiance_of(both, body_light(lamps), options));
-      const BodyLight groups = body_light_groups(lamps, 2);
+      BodyLight alone;
+      alone.groups = {body_light(lamps)};
+      EXPECT_EQ(radiance_of(both, alone, options), radiance_of(both, body_light(lamps), options));
+      const BodyLight groups = body_light(lamps, 2);
       ASSERT_EQ(groups.parts().size(), 2u);
       const std::vector<float> whole = radiance_of(both, body_light(lamps), options);
       std::vector<float>& shadow = both.surface.shadow;

@@ -66,8 +66,14 @@ TEST(KeypointFit, RefusesBrokenFiles) {
     return test::error_of([&] { read_keypoint_track(path, driver); });
   };
   write(good, body, "25");
-  EXPECT_TRUE(is_keypoint_track(path));
-  EXPECT_EQ(read_keypoint_track(path, driver).frames_per_second, 25);
+  const auto read = read_keypoint_track(path, driver);
+  ASSERT_TRUE(read);
+  EXPECT_EQ(read->frames_per_second, 25);
+  EXPECT_EQ(read->body, good.body);
+  TensorFile poses = read_safetensors(path);
+  poses.tensors["joint_rotation"] = poses.tensors["body_keypoints"];
+  write_safetensors(path, poses);
+  EXPECT_FALSE(read_keypoint_track(path, driver));
   EXPECT_TRUE(test::contains(error(good, body, "often"), "frames_per_second"));
   KeypointTrack broken = good;
   broken.body[4] = std::numeric_limits<float>::quiet_NaN();

@@ -24,6 +24,30 @@ BodyTrainSettings quick(int iterations) {
   return settings;
 }
 
+// A view of the capture drawn from an avatar's folder in two ways: as eval does, and as render
+// does.
+struct DrawnFolder {
+  StageSource source;
+  StageMoments moments;
+  BodyViewer viewer;
+  DrawnView seen;
+  BodyRenderer renderer;
+
+  DrawnFolder(const StageCapture& capture, BodyAvatar& avatar)
+      : source(capture),
+        moments(source, avatar.model.shadow_texels(), avatar.settings),
+        viewer(avatar.settings, avatar.model, moments),
+        seen(viewer.draw({1, 0})),
+        renderer(avatar) {
+    renderer.set_pose(avatar.tracks.at("train").poses[1]);
+    renderer.set_points(source.moment(1).lights);
+  }
+  double agreement() {  // dB
+    const Image drawn = to_image(renderer.draw(viewer.view().view));
+    return psnr(to_float(to_8bit(drawn)), seen.drawn);
+  }
+};
+
 std::string bytes_of(const Path& path) {
   std::ifstream stream(path, std::ios::binary);
   return {std::istreambuf_iterator<char>(stream), {}};
@@ -111,17 +135,10 @@ TEST(BodyTrainer, OtherWaysOfLight) {
     const Path out = scratch / std::to_string(run++);
     train_body(capture, settings, out, {});
     BodyAvatar avatar = read_body_avatar(out);
-    const StageSource source(capture);
-    StageMoments moments(source, avatar.model.shadow_texels(), avatar.settings);
-    BodyViewer viewer(avatar.settings, avatar.model, moments);
-    const DrawnView seen = viewer.draw({1, 0});
-    BodyRenderer renderer(avatar);
-    renderer.set_pose(avatar.tracks.at("train").poses[1]);
-    renderer.set_points(source.moment(1).lights);
-    const Image drawn = to_image(renderer.draw(viewer.view().view));
-    EXPECT_GT(psnr(to_float(to_8bit(drawn)), seen.drawn), 38.0) << run;
-    EXPECT_GT(score_of(seen).psnr, 17.0) << run;
-    const Image shadow = body_buffer_values(renderer.picture(), "shadow");
+    DrawnFolder drawn(capture, avatar);
+    EXPECT_GT(drawn.agreement(), 38.0) << run;
+    EXPECT_GT(score_of(drawn.seen).psnr, 17.0) << run;
+    const Image shadow = body_buffer_values(drawn.renderer.picture(), "shadow");
     for (const float value : shadow.data) ASSERT_TRUE(value >= 0 && value <= 1.001f);
   }
 }
@@ -208,16 +225,11 @@ TEST(BodyAvatar, IsAFolderThatDrawsTheSame) {
 
   BodyAvatar avatar = read_body_avatar(out);
   EXPECT_EQ(avatar.tracks.at("train").poses.size(), capture.frames.size());
-  const StageSource source(capture);
-  StageMoments moments(source, avatar.model.shadow_texels(), avatar.settings);
-  BodyViewer viewer(avatar.settings, avatar.model, moments);
-  const DrawnView seen = viewer.draw({1, 0});
-  BodyRenderer renderer(avatar);
-  renderer.set_pose(avatar.tracks.at("train").poses[1]);
-  PointLights lamps = source.moment(1).lights;
-  renderer.set_points(lamps);
-  const Image drawn = to_image(renderer.draw(viewer.view().view));
-  EXPECT_GT(psnr(to_float(to_8bit(drawn)), seen.drawn), 38.0);
+  DrawnFolder drawn(capture, avatar);
+  EXPECT_GT(drawn.agreement(), 38.0);
+  BodyRenderer& renderer = drawn.renderer;
+  BodyViewer& viewer = drawn.viewer;
+  PointLights lamps = drawn.source.moment(1).lights;
 
   // Twice the light is twice the radiance, whatever the shadow network says.
   const std::vector<float> once = renderer.picture().radiance().data;

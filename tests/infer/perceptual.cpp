@@ -68,37 +68,42 @@ const NetFiles& files_of(const std::string& net) {
   return net == "vgg" ? vgg : squeeze;
 }
 
-class Lpips : public ::testing::TestWithParam<const char*> {};
+// One net's distance, and double-precision loops over the same weights.
+class Lpips : public ::testing::TestWithParam<const char*> {
+ protected:
+  std::string net = GetParam();
+  const NetFiles& files = files_of(net);
+  PerceptualDistance lpips = PerceptualDistance::lpips(net, files.backbone_path, files.heads_path);
+
+  std::vector<Feature> features(const Image& image, bool unit_range) const {
+    const Feature x = PerceptualOracle::lpips_input(image, unit_range);
+    PerceptualOracle oracle(weights_);
+    return net == "alex" ? oracle.alex(x) : (net == "vgg" ? oracle.vgg(x) : oracle.squeeze(x));
+  }
+  std::vector<std::vector<float>> heads() const {
+    std::vector<std::vector<float>> values;
+    for (const test::TorchEntry& head : files.heads) values.push_back(head.values);
+    return values;
+  }
+
+ private:
+  test::WeightsByName weights_ = by_name(files.backbone);
+};
 
 TEST_P(Lpips, IsThePapersFormula) {
-  const std::string net = GetParam();
-  const NetFiles& files = files_of(net);
-  const PerceptualDistance lpips =
-      PerceptualDistance::lpips(net, files.backbone_path, files.heads_path);
   // Odd sides: what pools leave over must be treated as torchvision does.
   const Image a = net == "vgg" ? picture(35, 18, 1) : picture(70, 53, 1);
   const Image b = net == "vgg" ? picture(35, 18, 2) : picture(70, 53, 2);
-  const test::WeightsByName weights = by_name(files.backbone);
-  std::vector<std::vector<float>> heads;
-  for (const test::TorchEntry& head : files.heads) heads.push_back(head.values);
-  PerceptualOracle oracle(weights);
-  const auto features = [&](const Image& image, bool unit_range) {
-    const Feature x = PerceptualOracle::lpips_input(image, unit_range);
-    return net == "alex" ? oracle.alex(x) : (net == "vgg" ? oracle.vgg(x) : oracle.squeeze(x));
-  };
-  const double expected = PerceptualOracle::distance(features(a, false), features(b, false), heads);
+  const double expected =
+      PerceptualOracle::distance(features(a, false), features(b, false), heads());
   EXPECT_GT(expected, 0.01);
   EXPECT_NEAR(lpips.between(a, b), expected, 2e-5 * expected);
-  const double unit = PerceptualOracle::distance(features(a, true), features(b, true), heads);
+  const double unit = PerceptualOracle::distance(features(a, true), features(b, true), heads());
   EXPECT_GT(std::fabs(unit - expected), 1e-3 * expected);
   EXPECT_NEAR(lpips.between_unit_range(a, b), unit, 2e-5 * unit);
 }
 
 TEST_P(Lpips, IdentityAndSymmetry) {
-  const std::string net = GetParam();
-  const NetFiles& files = files_of(net);
-  const PerceptualDistance lpips =
-      PerceptualDistance::lpips(net, files.backbone_path, files.heads_path);
   const Image a = picture(40, 40, 3), b = picture(40, 40, 4);
   EXPECT_EQ(lpips.between(a, a), 0);
   EXPECT_DOUBLE_EQ(lpips.between(a, b), lpips.between(b, a));
@@ -145,30 +150,14 @@ void check_gradient(const PerceptualDistance& distance, const Image& a, const Im
 }
 
 TEST_P(Lpips, LossHasTheMetricsGradient) {
-  const std::string net = GetParam();
-  const NetFiles& files = files_of(net);
-  const PerceptualDistance lpips =
-      PerceptualDistance::lpips(net, files.backbone_path, files.heads_path);
   const Image a = picture(37, 33, 1), b = picture(37, 33, 2);
-  const test::WeightsByName weights = by_name(files.backbone);
-  std::vector<std::vector<float>> heads;
-  for (const test::TorchEntry& head : files.heads) heads.push_back(head.values);
-  PerceptualOracle oracle(weights);
-  const auto features = [&](const Image& image) {
-    const Feature x = PerceptualOracle::lpips_input(image, false);
-    return net == "alex" ? oracle.alex(x) : (net == "vgg" ? oracle.vgg(x) : oracle.squeeze(x));
-  };
-  const std::vector<Feature> of_b = features(b);
+  const std::vector<Feature> of_b = features(b, false);
   check_gradient(lpips, a, b, [&](const Image& image) {
-    return PerceptualOracle::distance(features(image), of_b, heads);
+    return PerceptualOracle::distance(features(image, false), of_b, heads());
   });
 }
 
 TEST_P(Lpips, LossOfSmallAndOfBlackPictures) {
-  const std::string net = GetParam();
-  const NetFiles& files = files_of(net);
-  const PerceptualDistance lpips =
-      PerceptualDistance::lpips(net, files.backbone_path, files.heads_path);
   // Continued in black: the same as a larger picture that is black there.
   const Image a = picture(12, 40, 3), b = picture(12, 40, 4);
   Image wide_a(32, 40, 3), wide_b(32, 40, 3);

@@ -30,15 +30,13 @@ Cubemap halved_to(Cubemap map, int size) {
   return map;
 }
 
-}  // namespace
-
-BodyLight body_light(PointLights points) {
+BodyLight whole(PointLights points) {
   BodyLight light;
   light.points = std::move(points);
   return light;
 }
 
-BodyLight body_light(const Cubemap& radiance, bool band_table) {
+BodyLight whole(const Cubemap& radiance, bool band_table) {
   BodyLight light;
   light.sh = sh_of_cubemap(radiance);
   if (band_table) light.bands = std::make_shared<const BandTable>(light.sh);
@@ -56,17 +54,21 @@ BodyLight body_light(const Cubemap& radiance, bool band_table) {
   return light;
 }
 
-BodyLight body_light_groups(const PointLights& points, int groups) {
+}  // namespace
+
+BodyLight body_light(PointLights points, int groups) {
+  if (groups == 1) return whole(std::move(points));
   BodyLight light;
   for (PointLights& part : group_points(points, groups))
-    light.groups.push_back(body_light(std::move(part)));
+    light.groups.push_back(whole(std::move(part)));
   return light;
 }
 
-BodyLight body_light_groups(const Cubemap& radiance, int groups, bool band_table) {
+BodyLight body_light(const Cubemap& radiance, int groups, bool band_table) {
+  if (groups == 1) return whole(radiance, band_table);
   BodyLight light;
   for (const Cubemap& part : group_environment(radiance, groups))
-    light.groups.push_back(body_light(part, band_table));
+    light.groups.push_back(whole(part, band_table));
   return light;
 }
 

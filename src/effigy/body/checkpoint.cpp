@@ -2,21 +2,12 @@
 
 #include <algorithm>
 
+#include "effigy/base/hash.h"
 #include "effigy/base/safetensors.h"
 #include "effigy/body/trainer_state.h"
 
 namespace effigy {
 namespace {
-
-// FNV-1a.
-struct Hash {
-  uint64_t value = 1469598103934665603ULL;
-  void mix(const void* data, size_t bytes) {
-    for (size_t i = 0; i < bytes; ++i)
-      value = (value ^ static_cast<const uint8_t*>(data)[i]) * 1099511628211ULL;
-  }
-  void mix(std::span<const float> numbers) { mix(numbers.data(), numbers.size_bytes()); }
-};
 
 // A short text that changes when the capture's frames, cameras or rig do.
 std::string fingerprint_of(const StageCapture& capture) {

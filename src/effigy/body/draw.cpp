@@ -5,8 +5,9 @@
 
 #include "effigy/base/error.h"
 #include "effigy/base/threads.h"
+#include "effigy/body/harmonics.h"
 #include "effigy/body/pbr.h"
-#include "effigy/body/turned_harmonics.h"
+#include "effigy/body/stretches.h"
 
 namespace effigy {
 namespace {
@@ -15,17 +16,6 @@ constexpr float kLeastAlpha = 1.0f / 255.0f;  // of a pixel that gets specular l
 constexpr float kLeastNormal = 1e-6f;         // length of a blended normal that means something
 constexpr float kNarrowest = 1e-3f;           // lobe
 constexpr size_t kGrain = 2048;
-constexpr size_t kStretch = 128;  // pixels that are left out together when all are empty
-
-// Spherical harmonics of the lamps in the root's frame, r g b of each coefficient.
-std::vector<float> root_harmonics(const BodySurface& surface, const BodyLight& light) {
-  PointLights turned = light.lamps();
-  for (PointLight& lamp : turned.lights)
-    lamp.position = surface.world_from_root.transpose() *
-                    (lamp.directional ? lamp.position : Vec3f(lamp.position - surface.root));
-  turned.center = surface.world_from_root.transpose() * (turned.center - surface.root);
-  return sh_of_points(turned, Vec3f::Zero());
-}
 
 void zero(std::vector<float>& values, size_t count) {
   values.assign(count, 0.0f);
@@ -87,6 +77,8 @@ struct BodyPicture::State {
   static std::span<float> part(std::vector<float>& all, size_t g, size_t each) {
     return {all.data() + g * each, each};
   }
+  // Channels that each group has for itself: diffuse, shadow and, when not deferred, specular.
+  int own_channels() const { return deferred ? 4 : 7; }
   int channel_count() const;
   BodyGroupChannels channels_of(size_t g) const;
   void shade_diffuse_part(const BodySurface& surface, const BodyLight& light,
@@ -113,10 +105,6 @@ struct BodyPicture::State {
 
 namespace {
 
-bool all_zero(const float* values, size_t count) {
-  return std::all_of(values, values + count, [](float v) { return v == 0.0f; });
-}
-
 // 1 / alpha, or 1 where the paper's products are wanted.
 float over_alpha(float alpha, const BodyDrawOptions& options) {
   return options.divide_by_alpha ? 1.0f / std::max(alpha, kLeastAlpha) : 1.0f;
@@ -125,13 +113,13 @@ float over_alpha(float alpha, const BodyDrawOptions& options) {
 }  // namespace
 
 int BodyPicture::State::channel_count() const {
-  const int own = deferred ? 4 : 7;
-  return (deferred ? kBodyChannels : kBodyChannels + 3) + own * (static_cast<int>(groups) - 1);
+  constexpr int kShared = kBodyChannels - 4;  // normal, roughness, visibility, depth
+  return kShared + own_channels() * static_cast<int>(groups);
 }
 
 BodyGroupChannels BodyPicture::State::channels_of(size_t g) const {
   if (g == 0) return {};
-  const int own = deferred ? 4 : 7, first = channel_count() - own * static_cast<int>(groups - g);
+  const int first = channel_count() - own_channels() * static_cast<int>(groups - g);
   return {first, first + 3, first + 4};
 }
 
@@ -153,17 +141,10 @@ void BodyPicture::State::shade_diffuse_part(const BodySurface& surface, const Bo
     shade_diffuse({light.points, light.sh, light.bands.get()},
                   {n, surface.placed.axes, position, surface.placed.zonal}, given);
   } else if (options.appearance == BodyAppearance::kHarmonics) {
-    const std::vector<float> own = root_harmonics(surface, light);
+    const std::vector<float> own =
+        root_harmonics(light.lamps(), surface.world_from_root, surface.root);
     std::copy(own.begin(), own.end(), part(harmonics, g, own.size()).begin());
-    parallel_for(n, kGrain, [&](size_t begin, size_t end, int) {
-      for (size_t c = 0; c < 3; ++c) {
-        std::fill_n(&given[c * n + begin], end - begin, 0.0f);
-        for (size_t k = 0; k < kHarmonics; ++k) {
-          const float* d = &surface.placed.zonal[harmonic_index(k, c) * n];
-          for (size_t i = begin; i < end; ++i) given[c * n + i] += own[3 * k + c] * d[i];
-        }
-      }
-    });
+    shade_harmonics(own, n, surface.placed.zonal, given);
   } else if (options.appearance == BodyAppearance::kTurnedHarmonics) {
     shade_turned_harmonics(light.sh.empty() ? light.points : sh_lamps(light.sh),
                            {n, surface.placed.axes, position, surface.placed.zonal}, given);
@@ -314,7 +295,7 @@ void BodyPicture::State::compose(const BodyDrawOptions& options) {
   for (size_t g = 0; g < groups && !pbr; ++g) {
     const BodyGroupChannels at = channels_of(g);
     const float* shadow = image.plane(1 + at.shadow);
-    const auto compose_stretch = [&](size_t begin, size_t end) {
+    for_covered_stretches({alpha, pixels}, [&](size_t begin, size_t end) {
       for (int c = 0; c < 3; ++c) {
         const float* colour = image.plane(1 + at.diffuse + c);
         const float* gloss = deferred ? nullptr : image.plane(1 + at.specular + c);
@@ -322,12 +303,6 @@ void BodyPicture::State::compose(const BodyDrawOptions& options) {
         for (size_t p = begin; p < end; ++p)
           out[p] += (colour[p] + (gloss != nullptr ? gloss[p] : 0.0f)) * shadow[p] *
                     over_alpha(alpha[p], options);
-      }
-    };
-    parallel_for(pixels, kGrain, [&](size_t begin, size_t end, int) {
-      for (size_t from = begin; from < end; from += kStretch) {
-        const size_t to = std::min(end, from + kStretch);
-        if (!all_zero(alpha + from, to - from)) compose_stretch(from, to);
       }
     });
   }
@@ -516,14 +491,7 @@ void BodyPicture::State::transfer_backward(const BodySurface& surface, const Bod
   const size_t n = surface.count();
   const std::span<const float> d_given = part(d_light, g, 3 * n);
   if (options.appearance == BodyAppearance::kHarmonics) {
-    const std::span<const float> own = part(harmonics, g, 3 * kHarmonics);
-    parallel_for(n, kGrain, [&](size_t begin, size_t end, int) {
-      for (size_t c = 0; c < 3; ++c)
-        for (size_t k = 0; k < kHarmonics; ++k) {
-          float* d = &gradients.zonal[harmonic_index(k, c) * n];
-          for (size_t i = begin; i < end; ++i) d[i] += own[3 * k + c] * d_given[c * n + i];
-        }
-    });
+    shade_harmonics_backward(part(harmonics, g, 3 * kHarmonics), n, d_given, gradients.zonal);
   } else if (options.appearance == BodyAppearance::kTurnedHarmonics) {
     shade_turned_harmonics_backward(light.sh.empty() ? light.points : sh_lamps(light.sh),
                                     {n, surface.placed.axes, position, surface.placed.zonal},

@@ -40,12 +40,10 @@ struct BodyLight {
   // The points, or the directions of an environment.
   const PointLights& lamps() const { return sh.empty() ? points : directions; }
 };
-BodyLight body_light(PointLights points);
-// Takes seconds for large cubemaps (LobeEnvironment).
-BodyLight body_light(const Cubemap& radiance, bool band_table = false);
-// The same light in at most so many groups (light/light_groups.h), each in a part of its own.
-BodyLight body_light_groups(const PointLights& points, int groups);
-BodyLight body_light_groups(const Cubemap& radiance, int groups, bool band_table = false);
+// In at most so many groups (light/light_groups.h), each with a shadow of its own. Environments
+// take seconds when their cubemap is large (LobeEnvironment).
+BodyLight body_light(PointLights points, int groups = 1);
+BodyLight body_light(const Cubemap& radiance, int groups = 1, bool band_table = false);
 
 // How light becomes colour.
 enum class BodyAppearance {

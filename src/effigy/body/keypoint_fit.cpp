@@ -1,9 +1,11 @@
 #include "effigy/body/keypoint_fit.h"
 
-#include <Eigen/Cholesky>
+#include <ceres/ceres.h>
+#include <ceres/normal_prior.h>
+
+#include <Eigen/Geometry>
 #include <Eigen/SVD>
-#include <algorithm>
-#include <cmath>
+#include <charconv>
 #include <map>
 
 #include "effigy/base/error.h"
@@ -74,150 +76,127 @@ struct ReducedRig {
   }
 };
 
-// Parameters in one row: joint rotations, expression, translation.
-float& parameter(RigPose& pose, size_t k) {
-  if (k < pose.joint_rotation.size()) return pose.joint_rotation[k];
-  k -= pose.joint_rotation.size();
-  if (k < pose.expression.size()) return pose.expression[k];
-  return pose.translation[k - pose.expression.size()];
+// A pose as one row of parameters: joint rotations, expression, translation.
+Eigen::VectorXd row_of(const RigPose& pose) {
+  std::vector<float> all = pose.joint_rotation;
+  all.insert(all.end(), pose.expression.begin(), pose.expression.end());
+  all.insert(all.end(), pose.translation.begin(), pose.translation.end());
+  return Eigen::Map<const Eigen::VectorXf>(all.data(), static_cast<Eigen::Index>(all.size()))
+      .cast<double>();
 }
-size_t parameters_of(const RigPose& pose) {
-  return pose.joint_rotation.size() + pose.expression.size() + 3;
+void set_row(const double* row, RigPose& pose) {
+  const auto take = [&row](auto& values) {
+    for (float& value : values) value = static_cast<float>(*row++);
+  };
+  take(pose.joint_rotation);
+  take(pose.expression);
+  take(pose.translation);
 }
 
-class Fitter {
+// Distances from the wanted keypoints. Derivatives by central differences with steps that fit the
+// rig's single precision, where Ceres' own would be too small.
+class KeypointCost : public ceres::CostFunction {
  public:
-  Fitter(const ReducedRig& rig, const Rig& full) : rig_(rig), full_(full) {}
-
-  // Rest pose, turned and moved as a whole onto the keypoints (Kabsch).
-  RigPose aligned(const Eigen::VectorXd& wanted) {
-    RigPose pose = RigPose::rest(full_);
-    const Eigen::VectorXd flat = rig_.keypoints(pose, vertices_);
-    using Points = Eigen::Map<const Eigen::Matrix3Xd>;
-    const Points from(flat.data(), 3, flat.size() / 3), to(wanted.data(), 3, wanted.size() / 3);
-    const Vec3d mean_from = from.rowwise().mean(), mean_to = to.rowwise().mean();
-    const Mat3d product = (to.colwise() - mean_to) * (from.colwise() - mean_from).transpose();
-    const Eigen::JacobiSVD<Mat3d> svd(product, Eigen::ComputeFullU | Eigen::ComputeFullV);
-    Vec3d signs(1, 1, svd.matrixU().determinant() * svd.matrixV().determinant() < 0 ? -1 : 1);
-    const Mat3d turn = svd.matrixU() * signs.asDiagonal() * svd.matrixV().transpose();
-    const Eigen::AngleAxisd root(turn);
-    for (int c = 0; c < 3; ++c)
-      pose.joint_rotation[static_cast<size_t>(c)] =
-          static_cast<float>(root.angle() * root.axis()[c]);
-    const Eigen::VectorXd turned = rig_.keypoints(pose, vertices_);
-    const Vec3d shift = mean_to - Points(turned.data(), 3, turned.size() / 3).rowwise().mean();
-    for (int c = 0; c < 3; ++c)
-      pose.translation[static_cast<size_t>(c)] += static_cast<float>(shift[c]);
-    return pose;
+  KeypointCost(const ReducedRig& rig, const RigPose& pose, const Eigen::VectorXd& wanted)
+      : rig_(rig), pose_(pose), wanted_(wanted) {
+    set_num_residuals(static_cast<int>(wanted.size()));
+    mutable_parameter_block_sizes()->push_back(static_cast<int>(row_of(pose).size()));
   }
-
-  void fit(const Eigen::VectorXd& wanted, RigPose& pose) {
-    const RigPose before = pose;
-    double damping = 1e-3, cost = cost_of(pose, before, wanted);
-    for (int step = 0; step < kSteps; ++step) {
-      Eigen::MatrixXd normal;
-      Eigen::VectorXd slope;
-      linearise(pose, before, wanted, normal, slope);
-      bool better = false;
-      const double last = cost;
-      for (int attempt = 0; attempt < 8 && !better; ++attempt) {
-        Eigen::MatrixXd damped = normal;
-        damped.diagonal() += damping * normal.diagonal();
-        const Eigen::VectorXd change = damped.ldlt().solve(-slope);
-        RigPose next = pose;
-        for (size_t k = 0; k < parameters_of(next); ++k)
-          parameter(next, k) += static_cast<float>(change[static_cast<Eigen::Index>(k)]);
-        bound_expression(next);
-        const double found = cost_of(next, before, wanted);
-        better = std::isfinite(found) && found < cost;
-        damping = better ? std::max(damping * 0.3, 1e-9) : damping * 4;
-        if (!better) continue;
-        pose = next;
-        cost = found;
-      }
-      if (!better || last - cost < kDone * last) break;
+  bool Evaluate(const double* const* parameters, double* residuals,
+                double** jacobians) const override {
+    const Eigen::Index count = parameter_block_sizes()[0];
+    Eigen::VectorXd row = Eigen::Map<const Eigen::VectorXd>(parameters[0], count);
+    const auto keypoints = [&] {
+      set_row(row.data(), pose_);
+      return rig_.keypoints(pose_, vertices_);
+    };
+    Eigen::Map<Eigen::VectorXd>(residuals, wanted_.size()) = keypoints() - wanted_;
+    if (jacobians == nullptr || jacobians[0] == nullptr) return true;
+    using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+    Eigen::Map<Rows> jacobian(jacobians[0], wanted_.size(), count);
+    for (Eigen::Index k = 0; k < count; ++k) {
+      const double start = row[k];
+      row[k] = start + kStep;
+      const Eigen::VectorXd ahead = keypoints();
+      row[k] = start - kStep;
+      jacobian.col(k) = (ahead - keypoints()) / (2 * kStep);
+      row[k] = start;
     }
-  }
-
-  double mean_distance(const RigPose& pose, const Eigen::VectorXd& wanted) {
-    const Eigen::VectorXd off = rig_.keypoints(pose, vertices_) - wanted;
-    return Eigen::Map<const Eigen::Matrix3Xd>(off.data(), 3, off.size() / 3)
-        .colwise()
-        .norm()
-        .mean();
+    return true;
   }
 
  private:
-  static double hold_of(const RigPose& pose, size_t k) {
-    const size_t turns = pose.joint_rotation.size();
-    return k < turns ? kHold : (k < turns + pose.expression.size() ? kHoldShape : 0.0);
-  }
-  // What a parameter is held to: the frame before; expressions to none.
-  static double held_to(const RigPose& pose, RigPose& before, size_t k) {
-    return k < pose.joint_rotation.size() ? static_cast<double>(parameter(before, k)) : 0.0;
-  }
-
-  void bound_expression(RigPose& pose) const {
-    for (size_t e = 0; e < pose.expression.size(); ++e)
-      pose.expression[e] =
-          std::clamp(pose.expression[e], full_.expression_low[e], full_.expression_high[e]);
-  }
-
-  double cost_of(RigPose& pose, RigPose before, const Eigen::VectorXd& wanted) {
-    double cost = (rig_.keypoints(pose, vertices_) - wanted).squaredNorm();
-    for (size_t k = 0; k < parameters_of(pose); ++k) {
-      const double off = static_cast<double>(parameter(pose, k)) - held_to(pose, before, k);
-      cost += hold_of(pose, k) * hold_of(pose, k) * off * off;
-    }
-    return cost;
-  }
-
-  void linearise(RigPose& pose, RigPose before, const Eigen::VectorXd& wanted,
-                 Eigen::MatrixXd& normal, Eigen::VectorXd& slope) {
-    const auto count = static_cast<Eigen::Index>(parameters_of(pose));
-    const Eigen::VectorXd now = rig_.keypoints(pose, vertices_);
-    Eigen::MatrixXd jacobian(now.size(), count);
-    for (Eigen::Index k = 0; k < count; ++k) {
-      RigPose moved = pose;
-      float& value = parameter(moved, static_cast<size_t>(k));
-      const float start = value;
-      value += static_cast<float>(kStep);
-      const double step = static_cast<double>(value) - static_cast<double>(start);
-      const Eigen::VectorXd ahead = rig_.keypoints(moved, vertices_);
-      value = static_cast<float>(static_cast<double>(start) - step);
-      jacobian.col(k) = (ahead - rig_.keypoints(moved, vertices_)) / (2 * step);
-    }
-    normal = jacobian.transpose() * jacobian;
-    slope = jacobian.transpose() * (now - wanted);
-    for (Eigen::Index k = 0; k < count; ++k) {
-      const auto i = static_cast<size_t>(k);
-      const double hold = hold_of(pose, i) * hold_of(pose, i);
-      normal(k, k) += hold + 1e-12;
-      slope[k] += hold * (static_cast<double>(parameter(pose, i)) - held_to(pose, before, i));
-    }
-  }
-
   const ReducedRig& rig_;
-  const Rig& full_;
-  std::vector<float> vertices_;
+  mutable RigPose pose_;  // scratch: frames are fitted by one thread
+  const Eigen::VectorXd& wanted_;
+  mutable std::vector<float> vertices_;
 };
 
-int64_t frames_in(const TensorFile& file, const std::string& name) {
-  const std::vector<int64_t>& shape = file.shape(name);
-  return shape.empty() ? 0 : shape[0];
+// Rest pose, turned and moved as a whole onto the keypoints.
+RigPose aligned(const ReducedRig& reduced, const Rig& rig, const Eigen::VectorXd& wanted) {
+  std::vector<float> vertices;
+  RigPose pose = RigPose::rest(rig);
+  const auto points = [](const Eigen::VectorXd& row) {
+    return Eigen::Matrix3Xd(Eigen::Map<const Eigen::Matrix3Xd>(row.data(), 3, row.size() / 3));
+  };
+  const Eigen::Matrix3Xd to = points(wanted);
+  const Eigen::Matrix4d moved =
+      Eigen::umeyama(points(reduced.keypoints(pose, vertices)), to, false);
+  const Eigen::AngleAxisd root(Mat3d(moved.topLeftCorner<3, 3>()));
+  const Vec3f turn = (root.angle() * root.axis()).cast<float>();
+  std::copy_n(turn.data(), 3, pose.joint_rotation.data());
+  // The root turns about its joint, not about the origin.
+  const Vec3d shift =
+      to.rowwise().mean() - points(reduced.keypoints(pose, vertices)).rowwise().mean();
+  for (int c = 0; c < 3; ++c)
+    pose.translation[static_cast<size_t>(c)] += static_cast<float>(shift[c]);
+  return pose;
+}
+
+void fit_frame(const ReducedRig& reduced, const Rig& rig, const Eigen::VectorXd& wanted,
+               RigPose& pose) {
+  Eigen::VectorXd row = row_of(pose);
+  const auto joints = static_cast<Eigen::Index>(pose.joint_rotation.size());
+  const auto shapes = static_cast<Eigen::Index>(pose.expression.size());
+  Eigen::VectorXd held_to = row, hold = Eigen::VectorXd::Zero(row.size());
+  held_to.segment(joints, shapes).setZero();
+  hold.head(joints).setConstant(kHold);
+  hold.segment(joints, shapes).setConstant(kHoldShape);
+  ceres::Problem problem;
+  problem.AddResidualBlock(new KeypointCost(reduced, pose, wanted), nullptr, row.data());
+  problem.AddResidualBlock(new ceres::NormalPrior(Eigen::MatrixXd(hold.asDiagonal()), held_to),
+                           nullptr, row.data());
+  for (Eigen::Index e = 0; e < shapes; ++e) {
+    const auto at = static_cast<int>(joints + e);
+    const auto i = static_cast<size_t>(e);
+    problem.SetParameterLowerBound(row.data(), at, static_cast<double>(rig.expression_low[i]));
+    problem.SetParameterUpperBound(row.data(), at, static_cast<double>(rig.expression_high[i]));
+  }
+  ceres::Solver::Options options;
+  options.linear_solver_type = ceres::DENSE_NORMAL_CHOLESKY;
+  options.max_num_iterations = kSteps;
+  options.function_tolerance = kDone;
+  options.logging_type = ceres::SILENT;
+  ceres::Solver::Summary summary;
+  ceres::Solve(options, &problem, &summary);
+  set_row(row.data(), pose);
+}
+
+double mean_distance(const ReducedRig& reduced, const RigPose& pose,
+                     const Eigen::VectorXd& wanted) {
+  std::vector<float> vertices;
+  const Eigen::VectorXd off = reduced.keypoints(pose, vertices) - wanted;
+  return Eigen::Map<const Eigen::Matrix3Xd>(off.data(), 3, off.size() / 3).colwise().norm().mean();
 }
 
 }  // namespace
 
-bool is_keypoint_track(const Path& path) {
+std::optional<KeypointTrack> read_keypoint_track(const Path& path, const BodyDriver& driver) {
   const TensorFile file = read_safetensors(path);
-  return file.has("body_keypoints") && !file.has("joint_rotation");
-}
-
-KeypointTrack read_keypoint_track(const Path& path, const BodyDriver& driver) {
-  const TensorFile file = read_safetensors(path);
+  if (!file.has("body_keypoints") || file.has("joint_rotation")) return {};
   KeypointTrack track;
-  const int64_t frames = frames_in(file, "body_keypoints");
+  const std::vector<int64_t>& shape = file.shape("body_keypoints");
+  const int64_t frames = shape.empty() ? 0 : shape[0];
   if (frames < 1)
     throw Error(path.string() + ": 'body_keypoints' holds no frames; give [F, " +
                 std::to_string(driver.body().size()) + ", 3] numbers.");
@@ -228,11 +207,12 @@ KeypointTrack read_keypoint_track(const Path& path, const BodyDriver& driver) {
       file.floats("face_keypoints", {frames, static_cast<int64_t>(driver.face().size()), 3});
   const auto rate = file.metadata.find("frames_per_second");
   if (rate == file.metadata.end()) return track;
-  char* end = nullptr;
-  track.frames_per_second = std::strtod(rate->second.c_str(), &end);
-  if (end == rate->second.c_str() || *end != 0 || !(track.frames_per_second > 0) ||
+  const std::string& text = rate->second;
+  const auto [end, code] =
+      std::from_chars(text.data(), text.data() + text.size(), track.frames_per_second);
+  if (code != std::errc() || end != text.data() + text.size() || !(track.frames_per_second > 0) ||
       !(track.frames_per_second <= 1000))
-    throw Error(path.string() + ": frames_per_second is '" + rate->second +
+    throw Error(path.string() + ": frames_per_second is '" + text +
                 "'; give a number above 0, at most 1000.");
   return track;
 }
@@ -244,7 +224,6 @@ std::vector<RigPose> fit_keypoints(const BodyDriver& driver, const Rig& rig,
   const size_t body = 3 * driver.body().size(), face = 3 * driver.face().size();
   EFFIGY_CHECK_EQ(track.body.size(), track.frames * body);
   EFFIGY_CHECK_EQ(track.face.size(), track.frames * face);
-  Fitter fitter(reduced, rig);
   std::vector<RigPose> poses;
   left_mean = 0;
   for (size_t f = 0; f < track.frames; ++f) {
@@ -253,9 +232,9 @@ std::vector<RigPose> fit_keypoints(const BodyDriver& driver, const Rig& rig,
       wanted[static_cast<Eigen::Index>(i)] = static_cast<double>(track.body[f * body + i]);
     for (size_t i = 0; i < face; ++i)
       wanted[static_cast<Eigen::Index>(body + i)] = static_cast<double>(track.face[f * face + i]);
-    RigPose pose = poses.empty() ? fitter.aligned(wanted) : poses.back();
-    fitter.fit(wanted, pose);
-    left_mean += fitter.mean_distance(pose, wanted) / static_cast<double>(track.frames);
+    RigPose pose = poses.empty() ? aligned(reduced, rig, wanted) : poses.back();
+    fit_frame(reduced, rig, wanted, pose);
+    left_mean += mean_distance(reduced, pose, wanted) / static_cast<double>(track.frames);
     poses.push_back(std::move(pose));
     if (progress) progress(f + 1);
   }

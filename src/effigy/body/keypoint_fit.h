@@ -2,6 +2,7 @@
 #pragma once
 
 #include <functional>
+#include <optional>
 #include <vector>
 
 #include "effigy/body/driver.h"
@@ -16,9 +17,9 @@ struct KeypointTrack {
 
 // A .safetensors file with the tensors body_keypoints [F, B, 3] and face_keypoints [F, C, 3] in the
 // order of the capture that the avatar was trained on, and, if it likes, frames_per_second in its
-// metadata. Throws Error when counts differ from the driver's or a number is not finite.
-KeypointTrack read_keypoint_track(const Path& path, const BodyDriver& driver);
-bool is_keypoint_track(const Path& path);
+// metadata. Nothing when the file holds a rig's poses or no keypoints. Throws Error when counts
+// differ from the driver's or a number is not finite.
+std::optional<KeypointTrack> read_keypoint_track(const Path& path, const BodyDriver& driver);
 
 // The pose of every frame: Levenberg-Marquardt over joint rotations, expression and translation,
 // warm from the frame before; what keypoints leave open stays as it was there. `left_mean`: the

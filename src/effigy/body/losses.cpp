@@ -5,6 +5,7 @@
 
 #include "effigy/base/error.h"
 #include "effigy/base/threads.h"
+#include "effigy/body/stretches.h"
 #include "effigy/learn/image_losses.h"
 #include "effigy/learn/pyramid_loss.h"
 
@@ -13,7 +14,6 @@ namespace {
 
 constexpr int kPyramidLevels = 4;
 constexpr size_t kGrain = 8192;
-constexpr size_t kStretch = 128;  // pixels that are left out together when all are empty
 
 // Display encoding that goes on beyond 1, so that a pixel that is too bright still has a gradient.
 float encode(float linear, DisplayTransform display, float& slope) {
@@ -112,21 +112,11 @@ void body_display(const BodyPicture& picture, const CameraColour& camera, const 
       }
     }
   };
-  const bool black = target.background.data.empty();
-  const auto empty = [](float a) { return a == 0.0f; };
-  const size_t pixels = radiance.pixels(), stretches = (pixels + kStretch - 1) / kStretch;
-  parallel_for(stretches, kGrain / kStretch, [&](size_t first, size_t last, int) {
-    for (size_t begin = first * kStretch; begin < std::min(last * kStretch, pixels);
-         begin += kStretch) {
-      const size_t end = std::min(begin + kStretch, pixels);
-      if (black && std::all_of(alpha.begin() + static_cast<ptrdiff_t>(begin),
-                               alpha.begin() + static_cast<ptrdiff_t>(end), empty))
-        for (int c = 0; c < 3; ++c)
-          std::fill(encoded.plane(c) + begin, encoded.plane(c) + end, 0.0f);
-      else
-        encode_stretch(begin, end);
-    }
-  });
+  if (!target.background.data.empty())
+    return parallel_for(radiance.pixels(), kGrain,
+                        [&](size_t begin, size_t end, int) { encode_stretch(begin, end); });
+  std::fill(encoded.data.begin(), encoded.data.end(), 0.0f);  // black stays black
+  for_covered_stretches(alpha, encode_stretch);
 }
 
 BodyLossValues body_image_losses(const BodyTrainSettings& settings, const BodyTarget& target,

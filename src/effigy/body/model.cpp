@@ -4,7 +4,7 @@
 #include <cmath>
 
 #include "effigy/base/error.h"
-#include "effigy/body/turned_harmonics.h"
+#include "effigy/body/harmonics.h"
 #include "effigy/light/zonal.h"
 
 namespace effigy {

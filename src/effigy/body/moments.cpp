@@ -104,8 +104,7 @@ bool StageMoments::many(const StageMoment& at) const {
 std::shared_ptr<const BodyLight> StageMoments::light(const StageMoment& at) {
   const int groups = settings_.shadow ? settings_.shadow_groups : 1;
   if (at.environment.empty() && !many(at))
-    return std::make_shared<BodyLight>(groups == 1 ? body_light(points(at))
-                                                   : body_light_groups(points(at), groups));
+    return std::make_shared<BodyLight>(body_light(points(at), groups));
   auto& light = environments_[at.environment.string()];
   if (light != nullptr) return light;
   const bool table = settings_.environment_bands == "table";
@@ -113,11 +112,11 @@ std::shared_ptr<const BodyLight> StageMoments::light(const StageMoment& at) {
   if (many(at) && groups > 1) {
     // By lamps, as their irradiance is.
     for (const PointLights& part : group_points(points(at), groups))
-      found.groups.push_back(body_light(stage_environment(part, kEnvironmentSize), table));
+      found.groups.push_back(body_light(stage_environment(part, kEnvironmentSize), 1, table));
   } else {
     const Cubemap radiance =
         many(at) ? stage_environment(at.lights, kEnvironmentSize) : environment(at);
-    found = groups == 1 ? body_light(radiance, table) : body_light_groups(radiance, groups, table);
+    found = body_light(radiance, groups, table);
   }
   light = std::make_shared<BodyLight>(std::move(found));
   return light;

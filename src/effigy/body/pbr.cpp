@@ -79,15 +79,8 @@ Vec3f at(std::span<const float> planes, size_t n, size_t i) {
 template <typename With>
 void each_lamp(const PointLights& lights, const Vec3f& point, const With& with) {
   for (const PointLight& lamp : lights.lights) {
-    if (lamp.directional) {
-      with(lamp.position, lamp.intensity);
-      continue;
-    }
-    const Vec3f way = lamp.position - point;
-    const float square = std::max(way.squaredNorm(), 1e-12f);
-    const float strength =
-        lights.falloff ? (lamp.position - lights.center).squaredNorm() / square : 1.0f;
-    with(Vec3f(way / std::sqrt(square)), Vec3f(strength * lamp.intensity));
+    const LampWay way = way_to_lamp(lights, lamp, point);
+    with(way.direction, Vec3f(way.strength * lamp.intensity));
   }
 }
 

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "effigy/base/error.h"
 #include "effigy/body/losses.h"
@@ -129,49 +130,49 @@ void BodyRenderer::set_pose(const RigPose& pose) {
   avatar_.model.pose(moment_, normals);
   shadow_frames_ =
       texel_frames(avatar_.model.shadow_texels(), moment_.vertices, triangles, normals);
-  shadow_stale_ = true;
+  changed_ = true;
   eye_.reset();
 }
 
 void BodyRenderer::set_points(PointLights points) {
   points_ = std::move(points);
-  light_ = groups() == 1 ? body_light(points_) : body_light_groups(points_, groups());
+  light_ = body_light(points_, groups());
   environment_.reset();
   parts_.clear();
-  shadow_stale_ = true;
+  changed_ = true;
 }
 
 void BodyRenderer::set_environment(const Cubemap& radiance) {
   const bool table = avatar_.settings.environment_bands == "table";
-  light_ =
-      groups() == 1 ? body_light(radiance, table) : body_light_groups(radiance, groups(), table);
+  light_ = body_light(radiance, groups(), table);
+  environment_.emplace(radiance, EnvironmentDraw::kLuminance);
   parts_.clear();
-  for (const Cubemap& part : group_environment(radiance, groups()))
-    parts_.emplace_back(part, EnvironmentDraw::kLuminance);
-  environment_ = std::make_unique<EnvironmentSampler>(radiance, EnvironmentDraw::kLuminance);
-  shadow_stale_ = true;
+  if (groups() > 1)
+    for (const Cubemap& part : group_environment(radiance, groups()))
+      parts_.emplace_back(part, EnvironmentDraw::kLuminance);
+  changed_ = true;
 }
 
 void BodyRenderer::find_shadow() {
-  if (!shadow_stale_) return;
-  shadow_stale_ = false;
   if (!avatar_.settings.shadow) return avatar_.model.light({});
   const IrradianceSampling sampling{samples_, avatar_.settings.seed};
   std::vector<float> pictures;
   const auto add = [&](const std::vector<float>& picture) {
     pictures.insert(pictures.end(), picture.begin(), picture.end());
   };
-  for (const EnvironmentSampler& part : parts_)
-    add(irradiance_.of_environment(shadow_frames_, *rays_, part, sampling));
-  if (parts_.empty())
+  if (!environment_)
     for (const BodyLight& part : light_.parts())
       add(irradiance_.of_points(shadow_frames_, *rays_, part.points, sampling));
+  else if (parts_.empty())
+    add(irradiance_.of_environment(shadow_frames_, *rays_, *environment_, sampling));
+  for (const EnvironmentSampler& part : parts_)
+    add(irradiance_.of_environment(shadow_frames_, *rays_, part, sampling));
   avatar_.model.light(pictures);
 }
 
 const Planes& BodyRenderer::draw(const Camera& camera, const std::array<float, 3>& background) {
-  const bool changed = shadow_stale_;  // since the last picture: pose or light
-  find_shadow();
+  const bool changed = std::exchange(changed_, false);
+  if (changed) find_shadow();
   const Vec3f eye = camera.center().cast<float>();
   if (eye != eye_) avatar_.model.look(eye);
   eye_ = eye;

@@ -48,12 +48,12 @@ class BodyRenderer {
   TexelFrames shadow_frames_;
   PointLights points_;  // when there is no environment
   BodyLight light_;
-  std::unique_ptr<EnvironmentSampler> environment_;
-  std::vector<EnvironmentSampler> parts_;  // of it: one for each part of light_
+  std::optional<EnvironmentSampler> environment_;
+  std::vector<EnvironmentSampler> parts_;  // of it, where light_ has several
   TexelIrradiance irradiance_;
   std::unique_ptr<RayScene> rays_;
   std::optional<float> ground_;
-  bool shadow_stale_ = true;
+  bool changed_ = true;       // pose or light, since the last picture
   std::optional<Vec3f> eye_;  // that the model has looked from in this pose
   BodyPicture picture_;
   Planes display_;

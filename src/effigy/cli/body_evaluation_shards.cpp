@@ -21,10 +21,15 @@ ViewScores view_scores(const Json& json, const Path& file) {
   scores.score = body_score(json, "score", file);
   scores.flat = body_score(json, "mean_colour", file);
   scores.unlit = body_score(json, "left_fully_lit", file);
-  const Json distances = json_field<Json>(json, "distances", file);
-  for (const auto& [name, value] : distances.items())
-    scores.distances[name] = to_scores(Json::array({value}), 1, file)[0];
+  scores.distances = to_distances(json, file);
   return scores;
+}
+
+Json scored_by(const StageCapture& capture, const Path& avatar_folder) {
+  return {{"kind", "body"},
+          {"avatar", avatar_mark(avatar_folder)},
+          {"frames", capture.frames.size()},
+          {"cameras", capture.cameras.size()}};
 }
 
 }  // namespace
@@ -33,23 +38,17 @@ void write_body_shard(const BodyEvaluation& evaluation, const BodyEvaluationOpti
                       const StageCapture& capture, const Path& avatar_folder, const Path& out) {
   Json views = Json::object();
   for (const ViewGroup& group : evaluation.groups)
-    for (const ViewScores& scores : group.views) {
-      Json distances = Json::object();
-      for (const auto& [name, value] : scores.distances) distances[name] = from_scores({value})[0];
+    for (const ViewScores& scores : group.views)
       views[group.name].push_back({{"frame", scores.view.frame},
                                    {"camera", scores.view.camera},
                                    {"score", to_json(scores.score)},
                                    {"mean_colour", to_json(scores.flat)},
                                    {"left_fully_lit", to_json(scores.unlit)},
-                                   {"distances", distances}});
-    }
-  const Json about = {{"kind", "body"},
-                      {"avatar", avatar_mark(avatar_folder)},
-                      {"frames", capture.frames.size()},
-                      {"cameras", capture.cameras.size()},
-                      {"views", options.most_views},
-                      {"lpips_net", evaluation.lpips_net},
-                      {"lpips_note", evaluation.lpips_note}};
+                                   {"distances", from_distances(scores.distances)}});
+  Json about = scored_by(capture, avatar_folder);
+  about["views"] = options.most_views;
+  about["lpips_net"] = evaluation.lpips_net;
+  about["lpips_note"] = evaluation.lpips_note;
   write_shard(out, options.shard, about,
               {{"groups", views},
                {"views_left_out", evaluation.left_out},
@@ -61,11 +60,7 @@ BodyEvaluation merge_body_shards(const StageCapture& capture, const Path& avatar
   Json about;
   const std::vector<Json> shards = read_shards(out, about);
   const Path file = out / "shards";
-  if (json_field<std::string>(about, "kind", file) != "body" ||
-      json_field<std::string>(about, "avatar", file) != avatar_mark(avatar_folder) ||
-      json_field<size_t>(about, "frames", file) != capture.frames.size() ||
-      json_field<size_t>(about, "cameras", file) != capture.cameras.size())
-    throw Error(file.string() + ": the shards score another avatar or capture; give theirs.");
+  check_shards(about, scored_by(capture, avatar_folder), out);
   BodyEvaluation evaluation;
   evaluation.lpips_net = json_field<std::string>(about, "lpips_net", file);
   evaluation.lpips_note = json_field<std::string>(about, "lpips_note", file);

@@ -39,7 +39,7 @@ int run_demo(int argc, char** argv) {
       "and repaints it: DIR/capture, DIR/avatar, DIR/eval. About five minutes on two cores. The "
       "same "
       "for a\n"
-      "body in a light stage, in about twenty minutes: effigy demo body.\n\n"
+      "body in a light stage, in about eight minutes: effigy demo body.\n\n"
       "example: effigy demo -o demo\n"
       "         effigy demo body -o body-demo",
       "demo");

@@ -13,11 +13,9 @@ Json to_json(const ProtocolScores& scores, bool poses) {
   Json frames = Json::array();
   for (size_t i = 0; i < scores.frames.size(); ++i) {
     const FrameScore& s = scores.frames[i];
-    Json distances = Json::object();
-    for (const auto& [name, value] : s.distances) distances[name] = from_scores({value})[0];
     Json entry = {{"frame", s.frame},
                   {"score", from_scores({s.psnr, s.psnr_foreground, s.ssim, s.coverage, s.flip})},
-                  {"distances", distances}};
+                  {"distances", from_distances(s.distances)}};
     if (poses) {
       const RigPose& pose = scores.poses[i];
       entry["pose"] = {{"expression", pose.expression},
@@ -52,9 +50,7 @@ void find(const Json& frames, const std::vector<RigPose>& poses, const Path& fil
     }
     const std::vector<double> s = to_scores(json_field<Json>(entry, "score", file), 5, file);
     FrameScore score{frame, s[0], s[1], s[2], s[3], s[4], {}};
-    const Json distances = json_field<Json>(entry, "distances", file);
-    for (const auto& [name, value] : distances.items())
-      score.distances[name] = to_scores(Json::array({value}), 1, file)[0];
+    score.distances = to_distances(entry, file);
     found[frame] = {std::move(score), std::move(pose)};
   }
 }
@@ -68,17 +64,22 @@ ProtocolScores in_order(const Found& found) {
   return scores;
 }
 
+Json scored_by(const Rig& rig, const Capture& capture, const Path& avatar_folder) {
+  return {{"kind", "head"},
+          {"avatar", avatar_mark(avatar_folder)},
+          {"rig", rig.kind},
+          {"frames", capture.frames.size()}};
+}
+
 }  // namespace
 
 void write_evaluation_shard(const Evaluation& evaluation, const EvaluationOptions& options,
                             const Capture& capture, const Path& avatar_folder, const Path& out) {
-  const Json about = {{"kind", "head"},
-                      {"avatar", avatar_mark(avatar_folder)},
-                      {"frames", capture.frames.size()},
-                      {"most_frames", options.most_frames},
-                      {"refine_steps", options.refined ? options.refine_steps : 0},
-                      {"lpips_net", evaluation.lpips_net},
-                      {"lpips_note", evaluation.lpips_note}};
+  Json about = scored_by(capture.rig, capture, avatar_folder);
+  about["most_frames"] = options.most_frames;
+  about["refine_steps"] = options.refined ? options.refine_steps : 0;
+  about["lpips_net"] = evaluation.lpips_net;
+  about["lpips_note"] = evaluation.lpips_note;
   Json scores = {{"tracker", to_json(evaluation.tracker, false)}, {"seconds", evaluation.seconds}};
   if (evaluation.refined) scores["refined"] = to_json(*evaluation.refined, true);
   write_shard(out, options.shard, about, std::move(scores));
@@ -89,11 +90,7 @@ Evaluation merge_shards(const HeadAvatar& avatar, const Capture& capture, const 
   Json about;
   const std::vector<Json> shards = read_shards(out, about);
   const Path file = out / "shards";
-  if (json_field<std::string>(about, "kind", file) != "head" ||
-      json_field<std::string>(about, "avatar", file) != avatar_mark(avatar_folder) ||
-      json_field<size_t>(about, "frames", file) != capture.frames.size() ||
-      avatar.rig.kind != capture.rig.kind)
-    throw Error(file.string() + ": the shards score another avatar or capture; give theirs.");
+  check_shards(about, scored_by(avatar.rig, capture, avatar_folder), out);
   Evaluation evaluation;
   evaluation.lpips_net = json_field<std::string>(about, "lpips_net", file);
   evaluation.lpips_note = json_field<std::string>(about, "lpips_note", file);

@@ -57,8 +57,7 @@ void declare(CLI::App& app, BodyRenderOptions& o) {
                  "body; wants a --background");
 }
 
-Track keypoint_drive(const std::string& what, const BodyAvatar& avatar) {
-  const KeypointTrack keypoints = read_keypoint_track(what, avatar.driver);
+Track keypoint_drive(const KeypointTrack& keypoints, const BodyAvatar& avatar) {
   Track track;
   track.frames_per_second = keypoints.frames_per_second;
   for (size_t f = 0; f < keypoints.frames; ++f) track.numbers.push_back(static_cast<int64_t>(f));
@@ -85,8 +84,10 @@ Track body_drive(const std::string& what, const BodyAvatar& avatar) {
     return track;
   }
   const std::string extension = Path(what).extension().string();
-  if (extension == ".safetensors")
-    return is_keypoint_track(what) ? keypoint_drive(what, avatar) : read_track(what, avatar.rig);
+  if (extension == ".safetensors") {
+    const auto keypoints = read_keypoint_track(what, avatar.driver);
+    return keypoints ? keypoint_drive(*keypoints, avatar) : read_track(what, avatar.rig);
+  }
   if (extension == ".bvh" || extension == ".BVH") {
     const Bvh bvh = read_bvh(what);
     Track track;

@@ -4,6 +4,7 @@
 #include <cstdio>
 #include <limits>
 
+#include "effigy/base/hash.h"
 #include "effigy/base/log.h"
 
 namespace effigy {
@@ -76,10 +77,17 @@ std::vector<Json> read_shards(const Path& out, Json& about) {
 }
 
 std::string avatar_mark(const Path& avatar) {
-  uint64_t hash = 1469598103934665603ULL;  // FNV-1a
-  for (const char c : read_text(avatar / "avatar.json"))
-    hash = (hash ^ static_cast<uint8_t>(c)) * 1099511628211ULL;
-  return format("{:016x}", hash);
+  const std::string text = read_text(avatar / "avatar.json");
+  Hash hash;
+  hash.mix(text.data(), text.size());
+  return format("{:016x}", hash.value);
+}
+
+void check_shards(const Json& about, const Json& wanted, const Path& out) {
+  for (const auto& [name, value] : wanted.items())
+    if (json_field<Json>(about, name, shard_folder(out)) != value)
+      throw Error(shard_folder(out).string() +
+                  ": the shards score another avatar or capture; give theirs.");
 }
 
 Json from_scores(const std::vector<double>& scores) {
@@ -100,6 +108,20 @@ std::vector<double> to_scores(const Json& json, size_t count, const Path& file) 
     throw Error(file.string() + ": a score is not " + std::to_string(count) +
                 " numbers; run the shard again.");
   return scores;
+}
+
+Json from_distances(const std::map<std::string, double>& distances) {
+  Json json = Json::object();
+  for (const auto& [name, value] : distances) json[name] = from_scores({value})[0];
+  return json;
+}
+
+std::map<std::string, double> to_distances(const Json& scored, const Path& file) {
+  const Json json = json_field<Json>(scored, "distances", file);
+  std::map<std::string, double> distances;
+  for (const auto& [name, value] : json.items())
+    distances[name] = to_scores(Json::array({value}), 1, file)[0];
+  return distances;
 }
 
 }  // namespace effigy

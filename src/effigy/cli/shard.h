@@ -2,6 +2,7 @@
 // from.
 #pragma once
 
+#include <map>
 #include <string>
 #include <vector>
 
@@ -29,9 +30,16 @@ std::vector<Json> read_shards(const Path& out, Json& about);
 // A number that tells this avatar folder from others.
 std::string avatar_mark(const Path& avatar);
 
+// Throws Error unless `about` of the shards in OUT/shards says all that `wanted` does: which avatar
+// and capture they score.
+void check_shards(const Json& about, const Json& wanted, const Path& out);
+
 // Scores as JSON: exact, infinite ones (pictures without a difference) as null.
 Json from_scores(const std::vector<double>& scores);
 // Throws Error naming `file` unless there are `count`.
 std::vector<double> to_scores(const Json& json, size_t count, const Path& file);
+// The same for distances by name, in the field `distances` of a JSON object.
+Json from_distances(const std::map<std::string, double>& distances);
+std::map<std::string, double> to_distances(const Json& scored, const Path& file);
 
 }  // namespace effigy

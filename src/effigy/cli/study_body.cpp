@@ -4,6 +4,7 @@
 #include <cstdio>
 
 #include "effigy/base/log.h"
+#include "effigy/body/renderer.h"
 #include "effigy/body/train_run.h"
 #include "effigy/cli/body_evaluation.h"
 #include "effigy/cli/command_line.h"
@@ -109,6 +110,7 @@ void add_pictures(Report& report, const std::vector<Cell>& cells, const StageCap
   if (cameras.empty()) cameras = capture.train_cameras();
   std::vector<std::string> columns = {"truth"};
   std::vector<ImageRow> rows;
+  rows.reserve(frames.size());
   for (const int frame : frames)
     rows.push_back({format("frame {}", capture.frames[static_cast<size_t>(frame)].number), {}});
   const StageSource source(capture);
@@ -160,16 +162,6 @@ PixelBox box_in(const StudyCrop& crop, const StageView& view) {
   return box;
 }
 
-Image8 drawn_normals(const BodyPicture& picture) {
-  const Planes& channels = picture.channels();
-  Planes normals(channels.width, channels.height, 3);
-  for (int c = 0; c < 3; ++c)
-    for (size_t p = 0; p < normals.pixels(); ++p)
-      normals.plane(c)[p] =
-          channels.plane(1 + kBodyNormal + c)[p] / std::max(channels.plane(0)[p], 1e-3f);
-  return colour_normals(normals, 0, {channels.plane(0)});
-}
-
 Image8 true_normals(const StageCapture& capture, const StageView& view) {
   const Image layer = capture.load_layer("normal", view.camera, view.frame);
   Planes normals(view.image.width, view.image.height, 3);
@@ -214,7 +206,7 @@ void add_crops(Report& report, const std::vector<Cell>& cells, const StageCaptur
         else
           rows[k].images.emplace_back();
       }
-      show(crop.normals ? drawn_normals(viewer.picture()) : to_8bit(drawn.drawn));
+      show(crop.normals ? view_body_buffer(viewer.picture(), "normal") : to_8bit(drawn.drawn));
       rows[k].caption += format("; {}", full ? "full" : cell.name);
       if (!crop.normals)
         rows[k].caption +=

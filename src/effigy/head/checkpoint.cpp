@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "effigy/base/hash.h"
 #include "effigy/base/safetensors.h"
 #include "effigy/head/trainer_state.h"
 
@@ -29,18 +30,14 @@ Tensor flat(const std::vector<float>& values) {
 
 // A short text that changes when the capture's frames or rig do.
 std::string fingerprint(const Capture& capture) {
-  uint64_t hash = 1469598103934665603ULL;  // FNV-1a
-  const auto mix = [&hash](const void* data, size_t bytes) {
-    for (size_t i = 0; i < bytes; ++i)
-      hash = (hash ^ static_cast<const uint8_t*>(data)[i]) * 1099511628211ULL;
-  };
+  Hash hash;
   for (const CaptureFrame& frame : capture.frames) {
-    mix(&frame.number, sizeof frame.number);
-    mix(&frame.test, sizeof frame.test);
+    hash.mix(&frame.number, sizeof frame.number);
+    hash.mix(&frame.test, sizeof frame.test);
   }
-  for (const RigPose& pose : capture.poses) mix(pose.translation.data(), sizeof pose.translation);
-  mix(capture.rig.mesh.vertices.data(), capture.rig.mesh.vertices.size() * sizeof(float));
-  return std::to_string(hash);
+  for (const RigPose& pose : capture.poses) hash.mix(pose.translation);
+  hash.mix(capture.rig.mesh.vertices);
+  return std::to_string(hash.value);
 }
 
 }  // namespace

@@ -49,15 +49,22 @@ PointLights sh_lamps(std::span<const float> sh) {
       const Vec3d direction(around * std::cos(angle), around * std::sin(angle), node.x());
       Vec3d radiance = Vec3d::Zero();
       for_each_sh(kZonalOrder, direction.data(), [&](int l, int m, double value, const double*) {
-        for (int c = 0; c < 3; ++c)
-          radiance[c] +=
-              value * static_cast<double>(sh[static_cast<size_t>(3 * (l * l + l + m) + c)]);
+        const float* given = &sh[3 * static_cast<size_t>(l * l + l + m)];
+        for (int c = 0; c < 3; ++c) radiance[c] += value * static_cast<double>(given[c]);
       });
       const double share = 2 * std::numbers::pi / kAngles * node.y();
       lamps.lights.push_back({direction.cast<float>(), (share * radiance).cast<float>(), true});
     }
   }
   return lamps;
+}
+
+LampWay way_to_lamp(const PointLights& lights, const PointLight& lamp, const Vec3f& from) {
+  if (lamp.directional) return {lamp.position};
+  const Vec3f way = lamp.position - from;
+  const float inverse = 1.0f / std::sqrt(way.squaredNorm() + 1e-20f);
+  const float reference = lights.falloff ? (lamp.position - lights.center).squaredNorm() : 0.0f;
+  return {way * inverse, lights.falloff ? reference * inverse * inverse : 1.0f, inverse};
 }
 
 std::vector<float> sh_of_points(const PointLights& points, const Vec3f& from) {

@@ -25,6 +25,14 @@ struct PointLights {
   Vec3f center = Vec3f::Zero();
 };
 
+// From a point to a lamp: unit direction, what distance leaves of the intensity, and 1 / distance
+// (0 for far lamps). A lamp at the point itself has a direction of no meaning, but a finite one.
+struct LampWay {
+  Vec3f direction;
+  float strength = 1, inverse_distance = 0;
+};
+LampWay way_to_lamp(const PointLights& lights, const PointLight& lamp, const Vec3f& from);
+
 // Spherical harmonics up to order kZonalOrder, r g b of each coefficient: of the points as seen
 // from `from`, and of an environment's radiance with exact texel solid angles. A point of intensity
 // I is a texel of radiance times solid angle I.
