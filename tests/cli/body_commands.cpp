@@ -15,7 +15,7 @@ using test::run;
 const Path& trained() {
   static const test::ScratchFolder scratch;
   static const bool made = [] {
-    test::write_lit_ball(scratch / "capture", 7, 40);
+    test::write_lit_ball(scratch / "capture", 7, 40, true);
     const Outcome train =
         run("train " + (scratch / "capture").string() + " -o " + (scratch / "body").string() +
             " --preset quick --iterations 30 --set evaluate_every=10 --consent 'a test' --json");
@@ -66,7 +66,16 @@ TEST(BodyCommands, EvalScoresEveryGroup) {
     EXPECT_GT(metrics[group]["ssim"].get<double>(), 0.3);
     EXPECT_TRUE(metrics[group].contains("mean_colour"));
     EXPECT_TRUE(metrics[group].contains("left_fully_lit"));
+    EXPECT_LT(metrics[group]["depth_error_mm"], 15);
+    EXPECT_LT(metrics[group]["normal_degrees"], 40);
+    EXPECT_LT(metrics[group]["albedo_error"], 0.3);
+    EXPECT_TRUE(metrics[group].contains("roughness_error"));
   }
+  const Json& even = metrics["relight"]["even"];
+  EXPECT_NEAR(even["psnr"], metrics["environment"]["psnr"], 1e-6);
+  EXPECT_GT(even["scale"], 0.2);
+  EXPECT_GT(even["psnr_aligned"], even["psnr"].get<double>() - 0.1);
+  EXPECT_TRUE(even.contains("ssim_aligned") && even.contains("psnr_unlit"));
   EXPECT_EQ(metrics, read_json(out / "metrics.json"));
   EXPECT_TRUE(contains(read_text(out / "report.html"), "held-out cameras"));
 }

@@ -86,11 +86,11 @@ TEST_F(TruthScored, NothingOffScoresNothing) {
   write_layers(0, 0, 0, 0, 1);
   const auto scores = score_truth(avatar_, capture_, frames_);
   ASSERT_TRUE(scores.has_value());
-  EXPECT_LT(scores->albedo_error, 1e-5);
-  EXPECT_LT(scores->roughness_error, 1e-6);
-  EXPECT_LT(scores->specular_error, 1e-6);
-  EXPECT_LT(scores->normal_degrees, 0.05);
-  EXPECT_LT(scores->depth_error_mm, 1e-3);
+  EXPECT_LT(scores->surface.albedo_error, 1e-5);
+  EXPECT_LT(scores->surface.roughness_error, 1e-6);
+  EXPECT_LT(scores->surface.specular_error.value(), 1e-6);
+  EXPECT_LT(scores->surface.normal_degrees, 0.05);
+  EXPECT_LT(scores->surface.depth_error_mm, 1e-3);
   EXPECT_LT(scores->environment_error, 0.01);
 }
 
@@ -98,12 +98,12 @@ TEST_F(TruthScored, KnownErrorsScoreThemselvesAndAlbedosScaleIsFree) {
   write_layers(0.1f, -0.01f, 10 * std::numbers::pi / 180, 0.005f, 0.5f);
   const auto scores = score_truth(avatar_, capture_, frames_);
   ASSERT_TRUE(scores.has_value());
-  EXPECT_LT(scores->albedo_error, 1e-4);
-  EXPECT_NEAR(scores->roughness_error, 0.1, 1e-5);
-  EXPECT_NEAR(scores->specular_error, 0.01, 1e-5);
-  EXPECT_GT(scores->normal_degrees, 5);  // a normal along x does not turn
-  EXPECT_LT(scores->normal_degrees, 10.01);
-  EXPECT_NEAR(scores->depth_error_mm, 5, 1e-2);
+  EXPECT_LT(scores->surface.albedo_error, 1e-4);
+  EXPECT_NEAR(scores->surface.roughness_error, 0.1, 1e-5);
+  EXPECT_NEAR(scores->surface.specular_error.value(), 0.01, 1e-5);
+  EXPECT_GT(scores->surface.normal_degrees, 5);  // a normal along x does not turn
+  EXPECT_LT(scores->surface.normal_degrees, 10.01);
+  EXPECT_NEAR(scores->surface.depth_error_mm, 5, 1e-2);
 }
 
 TEST_F(TruthScored, CapturesWithoutTruthHaveNoScores) {

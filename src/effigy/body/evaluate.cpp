@@ -46,11 +46,7 @@ BodyScore mean_score(const std::vector<BodyScore>& scores) {
 BodyViewer::BodyViewer(const BodyTrainSettings& settings, BodyModel& model, StageMoments& moments)
     : settings_(settings), model_(model), moments_(moments) {}
 
-DrawnView BodyViewer::draw(const StageViewKey& view) {
-  return draw_in_light_of(view, view.frame);
-}
-
-DrawnView BodyViewer::draw_in_light_of(const StageViewKey& key, int frame_of_light) {
+DrawnView BodyViewer::draw_in_light_of(const StageViewKey& key, int frame_of_light, double scale) {
   const StageSource& source = moments_.source();
   view_ = source.view(key, {0, kBorder, 0});
   // Under another light another background would have been seen.
@@ -66,7 +62,8 @@ DrawnView BodyViewer::draw_in_light_of(const StageViewKey& key, int frame_of_lig
   target.display = source.capture().display;
   target.background = view_.background;
   Planes encoded;
-  body_display(picture_, {}, target, encoded);
+  const auto gain = static_cast<float>(scale);
+  body_display(picture_, {.gain = {gain, gain, gain}}, target, encoded);
   DrawnView out;
   out.view = key;
   out.drawn = to_float(to_8bit(to_image(encoded)));

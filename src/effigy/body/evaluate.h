@@ -32,12 +32,14 @@ class BodyViewer {
  public:
   // Keeps references.
   BodyViewer(const BodyTrainSettings& settings, BodyModel& model, StageMoments& moments);
-  DrawnView draw(const StageViewKey& view);
-  // The same view left in the light of `frame_of_light` (its shadows too).
-  DrawnView draw_in_light_of(const StageViewKey& view, int frame_of_light);
+  DrawnView draw(const StageViewKey& view) { return draw_in_light_of(view, view.frame); }
+  // The same view left in the light of `frame_of_light` (its shadows too); its light times `scale`.
+  DrawnView draw_in_light_of(const StageViewKey& view, int frame_of_light, double scale = 1);
   // Of the last draw.
   const BodyPicture& picture() const { return picture_; }
   const StageView& view() const { return view_; }
+  const BodySurface& surface() const { return model_.surface(); }
+  const BodyTrainSettings& settings() const { return settings_; }
 
  private:
   const BodyTrainSettings& settings_;

@@ -89,9 +89,24 @@ Planes buffer_planes(const BodyPicture& picture, const std::string& name) {
 
 }  // namespace
 
+Planes body_albedo(const Camera& camera, const BodySurface& surface,
+                   const GaussianRasterOptions& options) {
+  const UvGaussians& g = surface.placed;
+  GaussianFrame frame;
+  Planes image;
+  render_gaussians(camera, {g.center, g.rotation, g.scale, g.opacity, surface.albedo, 3}, options,
+                   image, frame);
+  Planes out(image.width, image.height, 3);
+  for (int c = 0; c < 3; ++c)
+    for (size_t p = 0; p < out.pixels(); ++p)
+      out.plane(c)[p] = image.plane(1 + c)[p] / std::max(image.plane(0)[p], 1e-3f);
+  return out;
+}
+
 const std::vector<std::string>& body_buffer_names() {
-  static const std::vector<std::string> kNames = {"diffuse",    "specular", "normal", "roughness",
-                                                  "visibility", "shadow",   "depth",  "alpha"};
+  static const std::vector<std::string> kNames = {"albedo", "diffuse",   "specular",
+                                                  "normal", "roughness", "visibility",
+                                                  "shadow", "depth",     "alpha"};
   return kNames;
 }
 
@@ -99,14 +114,29 @@ Image body_buffer_values(const BodyPicture& picture, const std::string& name) {
   return to_image(buffer_planes(picture, name));
 }
 
+namespace {
+
+Image8 encoded_colour(Planes planes, const PlaneView& view) {
+  for (float& value : planes.data) value = srgb_from_linear(std::max(value, 0.0f));
+  return colour_rgb(planes, 0, view);
+}
+
+}  // namespace
+
 Image8 view_body_buffer(const BodyPicture& picture, const std::string& name) {
-  Planes planes = buffer_planes(picture, name);
+  const Planes planes = buffer_planes(picture, name);
   const PlaneView view{picture.channels().plane(0), {0, 0, 0}};
   if (name == "normal") return colour_normals(planes, 0, view);
   if (name == "depth") return colour_scalar(planes, 0, ColourMap::kPerceptual, 0, 0, true, view);
   if (planes.count == 1) return colour_scalar(planes, 0, ColourMap::kGrey, 0, 1, false, view);
-  for (float& value : planes.data) value = srgb_from_linear(std::max(value, 0.0f));
-  return colour_rgb(planes, 0, view);
+  return encoded_colour(planes, view);
+}
+
+BodyBuffer BodyRenderer::buffer(const std::string& name, const Camera& camera) const {
+  if (name != "albedo")
+    return {body_buffer_values(picture_, name), view_body_buffer(picture_, name)};
+  const Planes albedo = body_albedo(camera, avatar_.model.surface(), options_.raster);
+  return {to_image(albedo), encoded_colour(albedo, {picture_.alpha().data(), {0, 0, 0}})};
 }
 
 BodyRenderer::BodyRenderer(BodyAvatar& avatar)

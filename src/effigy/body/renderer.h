@@ -15,6 +15,12 @@
 
 namespace effigy {
 
+// A buffer divided by alpha: as it is, for EXR, and as a picture to look at.
+struct BodyBuffer {
+  Image values;
+  Image8 picture;
+};
+
 class BodyRenderer {
  public:
   // Keeps a reference to `avatar`; starts in the rig's rest pose without light.
@@ -32,6 +38,9 @@ class BodyRenderer {
 
   // 3 planes, display-encoded, over `background` (display-encoded).
   const Planes& draw(const Camera& camera, const std::array<float, 3>& background = {0, 0, 0});
+  // A buffer as it was drawn last, by `camera`; names as body_buffer_names() has them. Throws Error
+  // for an unknown name.
+  BodyBuffer buffer(const std::string& name, const Camera& camera) const;
   // Of the last draw.
   const BodyPicture& picture() const { return picture_; }
   const std::vector<float>& vertices() const { return moment_.vertices; }
@@ -59,8 +68,12 @@ class BodyRenderer {
   Planes display_;
 };
 
+// The surface's albedo splatted: 3 planes, linear, divided by alpha; 0 where nothing is.
+Planes body_albedo(const Camera& camera, const BodySurface& surface,
+                   const GaussianRasterOptions& options);
+
 // A channel of a picture as a viewable image, divided by alpha. Names: diffuse specular normal
-// roughness visibility shadow depth alpha. Throws Error for an unknown name.
+// roughness visibility shadow depth alpha (not albedo). Throws Error for an unknown name.
 Image8 view_body_buffer(const BodyPicture& picture, const std::string& name);
 const std::vector<std::string>& body_buffer_names();
 // The same buffer as linear floats, for EXR.

@@ -93,6 +93,24 @@ std::map<std::string, double> ViewGroup::mean_distances() const {
   return mean;
 }
 
+std::optional<SurfaceScores> ViewGroup::mean_surface() const {
+  SurfaceScores mean;
+  double known = 0;
+  for (const ViewScores& view : views)
+    if (view.surface) {
+      mean.albedo_error += view.surface->albedo_error;
+      mean.roughness_error += view.surface->roughness_error;
+      mean.normal_degrees += view.surface->normal_degrees;
+      mean.depth_error_mm += view.surface->depth_error_mm;
+      known += 1;
+    }
+  if (known == 0) return std::nullopt;
+  for (double* sum :
+       {&mean.albedo_error, &mean.roughness_error, &mean.normal_degrees, &mean.depth_error_mm})
+    *sum /= known;
+  return mean;
+}
+
 const ViewGroup* BodyEvaluation::group(const std::string& name) const {
   for (const ViewGroup& g : groups)
     if (g.name == name) return &g;
@@ -114,20 +132,88 @@ std::vector<ScoredGroup> scored_groups(const StageCapture& capture, size_t most_
                 capture.frames_of(StageSplit::kEnvironment))};
 }
 
-BodyEvaluation evaluate_body(BodyAvatar& avatar, const StageCapture& capture,
-                             const BodyEvaluationOptions& options) {
-  check_fits(avatar, capture);
+namespace {
+
+// What one avatar on one capture is scored with.
+class BodyScorer {
+ public:
+  BodyScorer(BodyAvatar& avatar, const StageCapture& capture)
+      : capture_(capture),
+        source_(capture),
+        moments_(source_, avatar.model.shadow_texels(), avatar.settings),
+        viewer_(avatar.settings, avatar.model, moments_),
+        full_(fully_lit_frame(capture)) {
+    check_fits(avatar, capture);
+  }
+
+  const StageSource& source() const { return source_; }
+  bool left_lit() const { return full_ >= 0; }
+
+  ViewScores score(const StageViewKey& key, const std::array<float, 3>& colour,
+                   const std::vector<ImageDistance>& distances) {
+    ViewScores scores;
+    scores.view = key;
+    if (full_ >= 0) {
+      const DrawnView unlit = viewer_.draw_in_light_of(key, full_);
+      scores.unlit = score_of(unlit);
+      scores.unlit_fit.add(unlit.drawn, unlit.truth);
+    }
+    const DrawnView drawn = viewer_.draw(key);
+    scores.score = score_of(drawn);
+    scores.fit.add(drawn.drawn, drawn.truth);
+    scores.flat = score_of(painted(drawn, colour));
+    scores.surface = score_surface(viewer_, capture_);
+    for (const ImageDistance& distance : distances)
+      scores.distances[distance.name] = distance.between(drawn.truth, drawn.drawn);
+    return scores;
+  }
+
+  // Of views under one environment that were scored as they are.
+  RelightScores relight(const std::vector<const ViewScores*>& views) {
+    ScaleFit fit, unlit_fit;
+    for (const ViewScores* view : views) {
+      fit.add(view->fit);
+      unlit_fit.add(view->unlit_fit);
+    }
+    RelightScores mean;
+    mean.scale = fit.scale();
+    const double share = 1.0 / static_cast<double>(views.size());
+    for (const ViewScores* view : views) {
+      throw_if_interrupted();
+      const StageViewKey& key = view->view;
+      const BodyScore aligned = score_of(viewer_.draw_in_light_of(key, key.frame, mean.scale));
+      mean.psnr += share * view->score.psnr;
+      mean.ssim += share * view->score.ssim;
+      mean.psnr_aligned += share * aligned.psnr;
+      mean.ssim_aligned += share * aligned.ssim;
+      if (full_ >= 0)
+        mean.psnr_unlit +=
+            share * score_of(viewer_.draw_in_light_of(key, full_, unlit_fit.scale())).psnr;
+    }
+    return mean;
+  }
+
+ private:
+  const StageCapture& capture_;
+  StageSource source_;
+  StageMoments moments_;
+  BodyViewer viewer_;
+  int full_;  // a fully lit frame, or -1
+};
+
+}  // namespace
+
+BodyEvaluation score_body_views(BodyAvatar& avatar, const StageCapture& capture,
+                                const BodyEvaluationOptions& options) {
   const auto begin = std::chrono::steady_clock::now();
   BodyEvaluation evaluation;
   evaluation.lpips_net = options.perceptual.lpips_net;
   evaluation.lpips_note = options.perceptual.lpips_note;
-  const StageSource source(capture);
-  StageMoments moments(source, avatar.model.shadow_texels(), avatar.settings);
-  BodyViewer viewer(avatar.settings, avatar.model, moments);
+  BodyScorer scorer(avatar, capture);
+  evaluation.left_lit = scorer.left_lit();
   if (capture.test_cameras().empty())
     log_warning("the capture holds no cameras out; training cameras are scored");
-  const std::array<float, 3> colour = mean_colour(source);
-  const int full = fully_lit_frame(capture);
+  const std::array<float, 3> colour = mean_colour(scorer.source());
 
   const std::vector<ScoredGroup> wanted = scored_groups(capture, options.most_views);
   size_t total = 0, here = 0;
@@ -145,15 +231,7 @@ BodyEvaluation evaluate_body(BodyAvatar& avatar, const StageCapture& capture,
     for (const StageViewKey& key : w.views) {
       if (!options.shard.takes(number++)) continue;
       try {
-        ViewScores scores;
-        scores.view = key;
-        if (full >= 0) scores.unlit = score_of(viewer.draw_in_light_of(key, full));
-        const DrawnView drawn = viewer.draw(key);
-        scores.score = score_of(drawn);
-        scores.flat = score_of(painted(drawn, colour));
-        for (const ImageDistance& distance : options.perceptual.distances)
-          scores.distances[distance.name] = distance.between(drawn.truth, drawn.drawn);
-        group.views.push_back(std::move(scores));
+        group.views.push_back(scorer.score(key, colour, options.perceptual.distances));
       } catch (const Error& error) {
         left_out.add(error, total);
       }
@@ -165,6 +243,29 @@ BodyEvaluation evaluate_body(BodyAvatar& avatar, const StageCapture& capture,
   evaluation.left_out = left_out.count();
   evaluation.seconds =
       std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+  return evaluation;
+}
+
+void score_body_relighting(BodyAvatar& avatar, const StageCapture& capture,
+                           BodyEvaluation& evaluation) {
+  const ViewGroup* group = evaluation.group("environment");
+  if (group == nullptr) return;
+  const auto begin = std::chrono::steady_clock::now();
+  std::map<std::string, std::vector<const ViewScores*>> by_light;
+  for (const ViewScores& view : group->views) {
+    const StageFrame& frame = capture.frames[static_cast<size_t>(view.view.frame)];
+    by_light[frame.environment.stem().string()].push_back(&view);
+  }
+  BodyScorer scorer(avatar, capture);
+  for (const auto& [light, views] : by_light) evaluation.relight[light] = scorer.relight(views);
+  evaluation.seconds +=
+      std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+}
+
+BodyEvaluation evaluate_body(BodyAvatar& avatar, const StageCapture& capture,
+                             const BodyEvaluationOptions& options) {
+  BodyEvaluation evaluation = score_body_views(avatar, capture, options);
+  score_body_relighting(avatar, capture, evaluation);
   return evaluation;
 }
 
@@ -181,8 +282,13 @@ Json BodyEvaluation::metrics() const {
     entry["views"] = group.views.size();
     for (const auto& [name, value] : group.mean_distances()) entry[name] = value;
     entry["mean_colour"] = score_json(group.mean(&ViewScores::flat));
-    entry["left_fully_lit"] = score_json(group.mean(&ViewScores::unlit));
+    if (left_lit) entry["left_fully_lit"] = score_json(group.mean(&ViewScores::unlit));
+    if (const auto surface = group.mean_surface()) entry.update(surface->to_json());
     json[group.name] = entry;
+  }
+  for (const auto& [light, scores] : relight) {
+    json["relight"][light] = scores.to_json();
+    if (!left_lit) json["relight"][light].erase("psnr_unlit");
   }
   return json;
 }

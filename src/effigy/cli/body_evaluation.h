@@ -3,11 +3,13 @@
 #pragma once
 
 #include <map>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "effigy/body/body_avatar.h"
 #include "effigy/body/evaluate.h"
+#include "effigy/body/truth_scores.h"
 #include "effigy/cli/evaluation.h"
 #include "effigy/cli/shard.h"
 
@@ -25,6 +27,8 @@ struct ViewScores {
   std::map<std::string, double> distances;
   BodyScore flat;   // the body in one colour: the mean of the fully lit training views
   BodyScore unlit;  // the same view left in full light
+  std::optional<SurfaceScores> surface;  // synthetic captures with layers
+  ScaleFit fit, unlit_fit;               // of drawn towards true values
 };
 
 // What was held out, each group on cameras that were held out too.
@@ -33,12 +37,15 @@ struct ViewGroup {
   std::vector<ViewScores> views;
   BodyScore mean(BodyScore ViewScores::*which = &ViewScores::score) const;
   std::map<std::string, double> mean_distances() const;
+  std::optional<SurfaceScores> mean_surface() const;  // over views
 };
 
 struct BodyEvaluation {
   std::vector<ViewGroup> groups;  // "view", "light", "motion", "environment"; those there are
+  std::map<std::string, RelightScores> relight;  // by environment, of the last group
   std::string lpips_net, lpips_note;
-  size_t left_out = 0;  // views with missing or damaged files
+  bool left_lit = false;  // the capture has a fully lit frame, so that views were left in its light
+  size_t left_out = 0;    // views with missing or damaged files
   double seconds = 0;
   const ViewGroup* group(const std::string& name) const;  // null when there is none
   Json metrics() const;                                   // metrics.json
@@ -51,7 +58,13 @@ struct ScoredGroup {
 };
 std::vector<ScoredGroup> scored_groups(const StageCapture& capture, size_t most_views);
 
-// Throws Error when capture and avatar have different meshes or keypoints.
+// Scores view by view, ... Throws Error when capture and avatar have different meshes or keypoints.
+BodyEvaluation score_body_views(BodyAvatar& avatar, const StageCapture& capture,
+                                const BodyEvaluationOptions& options);
+// ... and what needs all views of an environment: relighting after one scale.
+void score_body_relighting(BodyAvatar& avatar, const StageCapture& capture,
+                           BodyEvaluation& evaluation);
+// Both.
 BodyEvaluation evaluate_body(BodyAvatar& avatar, const StageCapture& capture,
                              const BodyEvaluationOptions& options);
 
@@ -59,8 +72,8 @@ BodyEvaluation evaluate_body(BodyAvatar& avatar, const StageCapture& capture,
 // Throws Error when shards are missing or belong to another avatar, capture or options.
 void write_body_shard(const BodyEvaluation& evaluation, const BodyEvaluationOptions& options,
                       const StageCapture& capture, const Path& avatar_folder, const Path& out);
-BodyEvaluation merge_body_shards(const StageCapture& capture, const Path& avatar_folder,
-                                 const Path& out);
+BodyEvaluation merge_body_shards(BodyAvatar& avatar, const StageCapture& capture,
+                                 const Path& avatar_folder, const Path& out);
 
 // Writes OUT/report.html and OUT/metrics.json, each complete or not at all.
 void write_body_evaluation(const BodyEvaluation& evaluation, BodyAvatar& avatar,

@@ -46,6 +46,7 @@ class BodyReport {
   void write(const Path& path) {
     scores();
     for (const ViewGroup& group : e_.groups) views(group);
+    surface();
     textures();
     curves();
     settings();
@@ -64,8 +65,9 @@ class BodyReport {
     std::vector<std::string> names;
     for (const auto& [name, value] : e_.groups.front().mean_distances()) names.push_back(name);
     columns.insert(columns.end(), names.begin(), names.end());
-    for (const char* column : {"inside the mask dB", "left fully lit dB", "one colour dB"})
-      columns.emplace_back(column);
+    columns.emplace_back("inside the mask dB");
+    if (e_.left_lit) columns.emplace_back("left fully lit dB");
+    columns.emplace_back("one colour dB");
     std::vector<std::vector<std::string>> rows;
     for (const ViewGroup& group : e_.groups) {
       const BodyScore m = group.mean();
@@ -73,7 +75,7 @@ class BodyReport {
                                       of(m.psnr, 2), of(m.ssim, 4), of(m.flip, 4)};
       for (const std::string& name : names) row.push_back(of(group.mean_distances().at(name), 4));
       row.push_back(of(m.psnr_inside, 2));
-      row.push_back(of(group.mean(&ViewScores::unlit).psnr, 2));
+      if (e_.left_lit) row.push_back(of(group.mean(&ViewScores::unlit).psnr, 2));
       row.push_back(of(group.mean(&ViewScores::flat).psnr, 2));
       rows.push_back(std::move(row));
     }
@@ -82,6 +84,38 @@ class BodyReport {
                       "same views drawn in the light of all lamps, what not relighting scores. "
                       "One colour: the mean of the fully lit training views in the true outline.");
     if (e_.lpips_net.empty()) report_.add_paragraph("LPIPS is " + e_.lpips_note + ".");
+    relighting();
+    surfaces();
+  }
+
+  void relighting() {
+    if (e_.relight.empty()) return;
+    std::vector<std::vector<std::string>> rows;
+    for (const auto& [light, s] : e_.relight)
+      rows.push_back({light, of(s.psnr, 2), of(s.ssim, 4), of(s.psnr_aligned, 2),
+                      of(s.ssim_aligned, 4), format("{:.3f}", s.scale),
+                      e_.left_lit ? of(s.psnr_unlit, 2) : "-"});
+    report_.add_subheading("Relit by environments");
+    report_.add_table({"light", "PSNR dB", "SSIM", "PSNR aligned dB", "SSIM aligned", "scale",
+                       "left fully lit, aligned dB"},
+                      rows,
+                      "Unseen motion on held-out cameras, trained on lamps alone. Aligned: after "
+                      "one scale for all views of a light.");
+  }
+
+  void surfaces() {
+    std::vector<std::vector<std::string>> rows;
+    for (const ViewGroup& group : e_.groups)
+      if (const std::optional<SurfaceScores> s = group.mean_surface())
+        rows.push_back({group.title, of(s->albedo_error, 4), format("{:.3f}", s->roughness_error),
+                        format("{:.1f}", s->normal_degrees), format("{:.2f}", s->depth_error_mm)});
+    if (rows.empty()) return;
+    report_.add_subheading("Against the true surface");
+    report_.add_table({"held out", "albedo, sRGB, one scale a view", "roughness",
+                       "normals, degrees", "depth, mm"},
+                      rows,
+                      "Mean absolute differences where truth and avatar cover the whole pixel. The "
+                      "width of the avatar's lobe counts as the square of a roughness.");
   }
 
   void views(const ViewGroup& group) {
@@ -107,6 +141,29 @@ class BodyReport {
     }
     report_.add_image_grid(
         {"truth", "avatar", "difference (x5)", "normals", "shadow", "specular visibility"}, rows);
+  }
+
+  // One view of what was held out most, beside the truth.
+  void surface() {
+    const ViewGroup* group = e_.group("motion");
+    if (group == nullptr) group = &e_.groups.front();
+    viewer_.draw(group->views[group->views.size() / 2].view);
+    const std::optional<SurfaceImages> truth = true_surface(capture_, viewer_.view());
+    if (!truth) return;
+    const SurfaceImages drawn = drawn_surface(viewer_);
+    const auto row = [](const char* caption, const SurfaceImages& s) {
+      const PlaneView covered{s.alpha.data.data(), {24, 24, 28}};
+      Planes albedo = to_planes(s.albedo);
+      for (float& value : albedo.data) value = srgb_from_linear(std::clamp(value, 0.0f, 1.0f));
+      return ImageRow{
+          caption,
+          {colour_rgb(albedo, 0, covered),
+           colour_scalar(to_planes(s.roughness), 0, ColourMap::kGrey, 0, 1, false, covered),
+           colour_normals(to_planes(s.normal), 0, covered)}};
+    };
+    report_.add_heading("Surface: " + group->title);
+    report_.add_image_grid({"albedo", "roughness", "normals"},
+                           {row("truth", *truth), row("avatar", drawn)});
   }
 
   void textures() {

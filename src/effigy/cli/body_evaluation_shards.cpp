@@ -15,6 +15,18 @@ BodyScore body_score(const Json& view, const char* field, const Path& file) {
   return {s[0], s[1], s[2], s[3]};
 }
 
+Json to_json(const std::optional<SurfaceScores>& s) {
+  if (!s) return {};
+  return from_scores({s->albedo_error, s->roughness_error, s->normal_degrees, s->depth_error_mm});
+}
+
+std::optional<SurfaceScores> surface_scores(const Json& view, const Path& file) {
+  const Json json = json_field<Json>(view, "surface", file);
+  if (json.is_null()) return std::nullopt;
+  const std::vector<double> s = to_scores(json, 4, file);
+  return SurfaceScores{s[0], s[1], std::nullopt, s[2], s[3]};
+}
+
 ViewScores view_scores(const Json& json, const Path& file) {
   ViewScores scores;
   scores.view = {json_field<int>(json, "frame", file), json_field<int>(json, "camera", file)};
@@ -22,6 +34,10 @@ ViewScores view_scores(const Json& json, const Path& file) {
   scores.flat = body_score(json, "mean_colour", file);
   scores.unlit = body_score(json, "left_fully_lit", file);
   scores.distances = to_distances(json, file);
+  scores.surface = surface_scores(json, file);
+  const std::vector<double> fit = to_scores(json_field<Json>(json, "scale_fit", file), 4, file);
+  scores.fit = {fit[0], fit[1]};
+  scores.unlit_fit = {fit[2], fit[3]};
   return scores;
 }
 
@@ -39,24 +55,29 @@ void write_body_shard(const BodyEvaluation& evaluation, const BodyEvaluationOpti
   Json views = Json::object();
   for (const ViewGroup& group : evaluation.groups)
     for (const ViewScores& scores : group.views)
-      views[group.name].push_back({{"frame", scores.view.frame},
-                                   {"camera", scores.view.camera},
-                                   {"score", to_json(scores.score)},
-                                   {"mean_colour", to_json(scores.flat)},
-                                   {"left_fully_lit", to_json(scores.unlit)},
-                                   {"distances", from_distances(scores.distances)}});
+      views[group.name].push_back(
+          {{"frame", scores.view.frame},
+           {"camera", scores.view.camera},
+           {"score", to_json(scores.score)},
+           {"mean_colour", to_json(scores.flat)},
+           {"left_fully_lit", to_json(scores.unlit)},
+           {"distances", from_distances(scores.distances)},
+           {"surface", to_json(scores.surface)},
+           {"scale_fit", from_scores({scores.fit.cross, scores.fit.square, scores.unlit_fit.cross,
+                                      scores.unlit_fit.square})}});
   Json about = scored_by(capture, avatar_folder);
   about["views"] = options.most_views;
   about["lpips_net"] = evaluation.lpips_net;
   about["lpips_note"] = evaluation.lpips_note;
   write_shard(out, options.shard, about,
               {{"groups", views},
+               {"left_lit", evaluation.left_lit},
                {"views_left_out", evaluation.left_out},
                {"seconds", evaluation.seconds}});
 }
 
-BodyEvaluation merge_body_shards(const StageCapture& capture, const Path& avatar_folder,
-                                 const Path& out) {
+BodyEvaluation merge_body_shards(BodyAvatar& avatar, const StageCapture& capture,
+                                 const Path& avatar_folder, const Path& out) {
   Json about;
   const std::vector<Json> shards = read_shards(out, about);
   const Path file = out / "shards";
@@ -66,6 +87,7 @@ BodyEvaluation merge_body_shards(const StageCapture& capture, const Path& avatar
   evaluation.lpips_note = json_field<std::string>(about, "lpips_note", file);
   std::map<std::string, std::map<std::pair<int, int>, ViewScores>> found;
   for (const Json& shard : shards) {
+    evaluation.left_lit = json_field<bool>(shard, "left_lit", file);
     evaluation.left_out += json_field<size_t>(shard, "views_left_out", file);
     evaluation.seconds += json_field<double>(shard, "seconds", file);
     const Json groups = json_field<Json>(shard, "groups", file);
@@ -91,6 +113,7 @@ BodyEvaluation merge_body_shards(const StageCapture& capture, const Path& avatar
   if (known + evaluation.left_out != total || evaluation.groups.empty())
     throw Error(file.string() + ": the shards hold " + std::to_string(known) + " of " +
                 std::to_string(total) + " views; run them again with the same capture.");
+  score_body_relighting(avatar, capture, evaluation);
   return evaluation;
 }
 

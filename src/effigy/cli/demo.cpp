@@ -44,14 +44,17 @@ int run_demo(int argc, char** argv) {
       "         effigy demo body -o body-demo",
       "demo");
   std::string what = "head", output = "effigy-demo";
+  uint64_t subject = 1;
   CommonOptions common;
   app.add_option("WHAT", what, "head (default) or body")->check(CLI::IsMember({"head", "body"}));
   app.add_option("-o,--output", output, "Folder (default effigy-demo)");
+  app.add_option("--subject", subject, "Who: 1 to 5 are the standard subjects (default 1)");
   add_common(app, common, true, true);
   if (!parse_command_line(app, argc, argv, common)) return 0;
 
   const Path out = output;
   SynthHeadOptions synth;
+  synth.subject = subject;
   synth.frames = kFrames;
   synth.size = kSize;
   synth.seed = common.seed;

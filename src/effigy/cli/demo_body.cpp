@@ -15,8 +15,9 @@ namespace {
 constexpr int kIterations = 6000;
 constexpr size_t kViews = 24;  // scored of each group
 
-SynthBodyOptions demo_stage(uint64_t seed) {
+SynthBodyOptions demo_stage(uint64_t subject, uint64_t seed) {
   SynthBodyOptions options;
+  options.subject = subject;
   options.stage = stage_preset("tiny");
   options.stage.seed = seed;
   options.relight = {"studio", "sunset"};
@@ -33,14 +34,16 @@ int run_demo_body(int argc, char** argv) {
       "example: effigy demo body -o body-demo",
       "demo");
   std::string what = "body", output = "effigy-body-demo";
+  uint64_t subject = 1;
   CommonOptions common;
   app.add_option("WHAT", what, "body")->check(CLI::IsMember({"body"}));
   app.add_option("-o,--output", output, "Folder (default effigy-body-demo)");
+  app.add_option("--subject", subject, "Who: 1 to 5 are the standard subjects (default 1)");
   add_common(app, common, true, true);
   if (!parse_command_line(app, argc, argv, common)) return 0;
 
   const Path out = output;
-  synth_body_capture(demo_stage(common.seed), out / "capture");
+  synth_body_capture(demo_stage(subject, common.seed), out / "capture");
   const StageCapture capture = read_stage_capture(out / "capture");
   BodyTrainSettings settings = BodyTrainSettings::from_preset("quick");
   settings.iterations = kIterations;
@@ -59,6 +62,9 @@ int run_demo_body(int argc, char** argv) {
     std::printf("%s: PSNR %.2f dB, SSIM %.4f (left fully lit %.2f dB, one colour %.2f dB)\n",
                 group.title.c_str(), group.mean().psnr, group.mean().ssim,
                 group.mean(&ViewScores::unlit).psnr, group.mean(&ViewScores::flat).psnr);
+  for (const auto& [light, scores] : evaluation.relight)
+    std::printf("relit by %s: PSNR %.2f dB, after a scale of %.3f %.2f dB\n", light.c_str(),
+                scores.psnr, scores.scale, scores.psnr_aligned);
   std::printf("%s\n", (out / "eval/report.html").c_str());
   return 0;
 }

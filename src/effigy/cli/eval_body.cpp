@@ -8,6 +8,26 @@
 #include "effigy/cli/eval.h"
 
 namespace effigy {
+namespace {
+
+void print_scores(const BodyEvaluation& evaluation) {
+  for (const ViewGroup& group : evaluation.groups) {
+    const BodyScore m = group.mean();
+    std::printf("%-12s PSNR %.2f dB  SSIM %.4f  FLIP %.4f", group.name.c_str(), m.psnr, m.ssim,
+                m.flip);
+    for (const auto& [name, value] : group.mean_distances())
+      std::printf("  %s %.4f", name.c_str(), value);
+    if (evaluation.left_lit)
+      std::printf("  left fully lit %.2f dB", group.mean(&ViewScores::unlit).psnr);
+    std::printf("  one colour %.2f dB  (%zu views)\n", group.mean(&ViewScores::flat).psnr,
+                group.views.size());
+  }
+  for (const auto& [light, s] : evaluation.relight)
+    std::printf("  %-10s PSNR %.2f dB  SSIM %.4f  after a scale of %.3f: %.2f dB, %.4f\n",
+                light.c_str(), s.psnr, s.ssim, s.scale, s.psnr_aligned, s.ssim_aligned);
+}
+
+}  // namespace
 
 int evaluate_body_command(int argc, char** argv, const DistanceSource& source) {
   CLI::App app(
@@ -39,27 +59,20 @@ int evaluate_body_command(int argc, char** argv, const DistanceSource& source) {
   if (files.any() && !shards.merge) options.perceptual = source(files);
   BodyAvatar avatar = read_body_avatar(avatar_path);
   const StageCapture capture = read_stage_capture(capture_path);
-  const BodyEvaluation evaluation = shards.merge ? merge_body_shards(capture, avatar_path, output)
-                                                 : evaluate_body(avatar, capture, options);
   if (!options.shard.whole()) {
-    write_body_shard(evaluation, options, capture, avatar_path, output);
+    write_body_shard(score_body_views(avatar, capture, options), options, capture, avatar_path,
+                     output);
     return 0;
   }
+  const BodyEvaluation evaluation = shards.merge
+                                        ? merge_body_shards(avatar, capture, avatar_path, output)
+                                        : evaluate_body(avatar, capture, options);
   write_body_evaluation(evaluation, avatar, capture, avatar_path, output);
   if (common.json) {
     print_json(evaluation.metrics());
     return 0;
   }
-  for (const ViewGroup& group : evaluation.groups) {
-    const BodyScore m = group.mean();
-    std::printf("%-12s PSNR %.2f dB  SSIM %.4f  FLIP %.4f", group.name.c_str(), m.psnr, m.ssim,
-                m.flip);
-    for (const auto& [name, value] : group.mean_distances())
-      std::printf("  %s %.4f", name.c_str(), value);
-    std::printf("  left fully lit %.2f dB  one colour %.2f dB  (%zu views)\n",
-                group.mean(&ViewScores::unlit).psnr, group.mean(&ViewScores::flat).psnr,
-                group.views.size());
-  }
+  print_scores(evaluation);
   std::printf("%s\n", (Path(output) / "report.html").c_str());
   return 0;
 }

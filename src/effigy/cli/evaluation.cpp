@@ -107,7 +107,7 @@ void score_as_a_whole(const HeadAvatar& avatar, const Capture& capture, Evaluati
   for (const RelightSet& set : relight_sets(capture))
     evaluation.relight[set.name] = score_relight(avatar, capture, set);
   evaluation.truth = score_truth(avatar, capture, evaluation.frames);
-  evaluation.albedo_error = evaluation.truth ? evaluation.truth->albedo_error
+  evaluation.albedo_error = evaluation.truth ? evaluation.truth->surface.albedo_error
                                              : albedo_error(avatar, capture, evaluation.frames);
   evaluation.edit = measure_edit_accuracy(avatar, edit_views(avatar, evaluation));
   evaluation.seconds +=

@@ -150,10 +150,12 @@ class EvaluationReport {
       std::vector<std::vector<std::string>> rows;
       for (const auto& [name, s] : e_.relight)
         rows.push_back({name, format("{:.2f}", s.psnr), format("{:.4f}", s.ssim),
-                        format("{:.2f}", s.psnr_aligned), format("{:.3f}", s.scale),
-                        format("{:.2f}", s.psnr_unlit)});
+                        format("{:.2f}", s.psnr_aligned), format("{:.4f}", s.ssim_aligned),
+                        format("{:.3f}", s.scale), format("{:.2f}", s.psnr_unlit)});
       report_.add_table(
-          {"light", "PSNR dB", "SSIM", "PSNR aligned dB", "scale", "PSNR left unlit dB"}, rows,
+          {"light", "PSNR dB", "SSIM", "PSNR aligned dB", "SSIM aligned", "scale",
+           "PSNR left unlit dB"},
+          rows,
           "Against the synthetic truth. Aligned: after the one global scale that the "
           "albedo/light ambiguity leaves free. Left unlit: the same frames in the training "
           "light, aligned: what doing nothing scores.");
@@ -163,11 +165,11 @@ class EvaluationReport {
       const TruthScores& t = *e_.truth;
       report_.add_table(
           {"against the truth", "error"},
-          {{"albedo, sRGB, one scale per frame", format("{:.4f}", t.albedo_error)},
-           {"roughness", format("{:.3f}", t.roughness_error)},
-           {"F0", format("{:.3f}", t.specular_error)},
-           {"normals, degrees", format("{:.1f}", t.normal_degrees)},
-           {"depth, mm", format("{:.2f}", t.depth_error_mm)},
+          {{"albedo, sRGB, one scale per frame", format("{:.4f}", t.surface.albedo_error)},
+           {"roughness", format("{:.3f}", t.surface.roughness_error)},
+           {"F0", format("{:.3f}", t.surface.specular_error.value_or(0))},
+           {"normals, degrees", format("{:.1f}", t.surface.normal_degrees)},
+           {"depth, mm", format("{:.2f}", t.surface.depth_error_mm)},
            {"light, share of its irradiance, one scale", format("{:.3f}", t.environment_error)}},
           "Mean absolute differences where truth and avatar cover the whole pixel.");
     } else if (e_.albedo_error) {

@@ -152,11 +152,12 @@ class BodyRenderRun {
       if (last == nullptr || !same(*last, pose)) renderer_.set_pose(pose);
       last = &pose;
       if (o_.turn != 0) light(o_.rotation + o_.turn * i / count);
-      sink.add(frame,
-               renderer_.draw(camera_of_frame(o_.frames, base, center_, i, count), background));
-      for (const std::string& buffer : o_.frames.buffers)
-        sink.add_buffer(frame, buffer, body_buffer_values(renderer_.picture(), buffer),
-                        view_body_buffer(renderer_.picture(), buffer));
+      const Camera camera = camera_of_frame(o_.frames, base, center_, i, count);
+      sink.add(frame, renderer_.draw(camera, background));
+      for (const std::string& name : o_.frames.buffers) {
+        const BodyBuffer buffer = renderer_.buffer(name, camera);
+        sink.add_buffer(frame, name, buffer.values, buffer.picture);
+      }
       progress.update(++done);
     }
     sink.finish();

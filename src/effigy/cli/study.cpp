@@ -54,7 +54,12 @@ TrainSettings cell_settings(const StudyOptions& options, const Cell& cell) {
   settings.seed = options.seed;
   Json overrides = cell.changes;
   overrides["evaluate_every"] = 0;
-  if (options.iterations > 0) overrides["iterations"] = options.iterations;
+  if (options.iterations > 0) {
+    overrides["iterations"] = options.iterations;
+    // Parts that start later do so at the same share of a shorter study.
+    overrides["uv_distortion_start"] = static_cast<int>(int64_t{settings.uv_distortion_start} *
+                                                        options.iterations / settings.iterations);
+  }
   if (options.surfels > 0) overrides["surfels"] = options.surfels;
   if (options.texture_size > 0) overrides["texture_size"] = options.texture_size;
   from_json_checked(overrides, "study cell '" + cell.name + "'", settings);

@@ -14,6 +14,7 @@
 #include "effigy/cli/study_crops.h"
 #include "effigy/cli/training_distance.h"
 #include "effigy/image/metrics.h"
+#include "effigy/image/resample.h"
 #include "effigy/report/overlay.h"
 #include "effigy/report/report.h"
 
@@ -142,11 +143,7 @@ Image8 enlarged(const Image8& image) {
 
 template <class Picture>
 Picture part_of(const Picture& image, const PixelBox& box) {
-  Picture out(box.x1 - box.x0, box.y1 - box.y0, image.channels);
-  for (int y = box.y0; y < box.y1; ++y)
-    std::copy_n(image.at(box.x0, y), static_cast<size_t>(out.width) * image.channels,
-                out.at(0, y - box.y0));
-  return out;
+  return cropped(image, box.x0, box.y0, box.x1 - box.x0, box.y1 - box.y0);
 }
 
 // The crop's part of a drawn view.
@@ -164,11 +161,8 @@ PixelBox box_in(const StudyCrop& crop, const StageView& view) {
 
 Image8 true_normals(const StageCapture& capture, const StageView& view) {
   const Image layer = capture.load_layer("normal", view.camera, view.frame);
-  Planes normals(view.image.width, view.image.height, 3);
-  for (int c = 0; c < 3; ++c)
-    for (int y = 0; y < normals.height; ++y)
-      for (int x = 0; x < normals.width; ++x)
-        normals.plane(c)[y * normals.width + x] = layer.at(view.left + x, view.top + y)[c];
+  const Planes normals =
+      to_planes(cropped(layer, view.left, view.top, view.image.width, view.image.height));
   return colour_normals(normals, 0, {view.mask.data()});
 }
 

@@ -1,6 +1,6 @@
 #include "effigy/head/relight.h"
 
-#include <cmath>
+#include <algorithm>
 
 #include "effigy/base/progress.h"
 #include "effigy/image/files.h"
@@ -8,16 +8,6 @@
 
 namespace effigy {
 namespace {
-
-struct Mean {
-  double sum = 0;
-  int count = 0;
-  void add(double value) {
-    sum += value;
-    ++count;
-  }
-  double value() const { return count > 0 ? sum / count : 0.0; }
-};
 
 PrefilteredEnvironment scaled(PrefilteredEnvironment light, double scale) {
   for (float& v : light.diffuse.texels) v *= static_cast<float>(scale);
@@ -38,34 +28,32 @@ Image truth_of(const Capture& capture, const Path& path) {
   return image;
 }
 
-// Least-squares scale between linear pixel values, over all frames of the set.
+// Over all frames of the set.
 double best_scale(HeadRenderer& renderer, const Capture& capture, const RelightSet& set) {
-  double cross = 0, square = 0;
+  ScaleFit fit;
   for (const auto& [frame, path] : set.images) {
     renderer.set_pose(capture.poses[frame]);
-    const Image rendered = to_image(renderer.draw(capture.camera));
-    const Image truth = truth_of(capture, path);
-    for (size_t i = 0; i < truth.data.size(); ++i) {
-      const double r = linear_from_srgb(rendered.data[i]), t = linear_from_srgb(truth.data[i]);
-      cross += r * t;
-      square += r * r;
-    }
+    fit.add(to_image(renderer.draw(capture.camera)), truth_of(capture, path));
   }
-  return square > 0 && cross > 0 ? cross / square : 1.0;
+  return fit.scale();
 }
 
-double mean_psnr(HeadRenderer& renderer, const Capture& capture, const RelightSet& set,
-                 Mean* mean_ssim) {
-  Mean mean;
+struct MeanScore {
+  double psnr = 0, ssim = 0;
+};
+
+MeanScore mean_score(HeadRenderer& renderer, const Capture& capture, const RelightSet& set) {
+  MeanScore mean;
+  const double share = 1.0 / static_cast<double>(std::max<size_t>(1, set.images.size()));
   for (const auto& [frame, path] : set.images) {
     throw_if_interrupted();
     renderer.set_pose(capture.poses[frame]);
     const Image rendered = rounded(renderer.draw(capture.camera));
     const Image truth = truth_of(capture, path);
-    mean.add(psnr(truth, rendered));
-    if (mean_ssim) mean_ssim->add(ssim(truth, rendered));
+    mean.psnr += share * psnr(truth, rendered);
+    mean.ssim += share * ssim(truth, rendered);
   }
-  return mean.value();
+  return mean;
 }
 
 }  // namespace
@@ -103,14 +91,6 @@ std::vector<RelightSet> relight_sets(const Capture& capture) {
   return sets;
 }
 
-Json RelightScores::to_json() const {
-  return {{"psnr", psnr},
-          {"ssim", ssim},
-          {"psnr_aligned", psnr_aligned},
-          {"scale", scale},
-          {"psnr_unlit", psnr_unlit}};
-}
-
 RelightScores score_relight(const HeadAvatar& avatar, const Capture& capture,
                             const RelightSet& set) {
   RelightScores scores;
@@ -119,15 +99,17 @@ RelightScores score_relight(const HeadAvatar& avatar, const Capture& capture,
   const PrefilteredEnvironment light =
       prefilter_environment(read_environment(capture.folder / set.light));
   renderer.set_light(light);
-  Mean mean_ssim;
-  scores.psnr = mean_psnr(renderer, capture, set, &mean_ssim);
-  scores.ssim = mean_ssim.value();
+  const MeanScore as_is = mean_score(renderer, capture, set);
+  scores.psnr = as_is.psnr;
+  scores.ssim = as_is.ssim;
   scores.scale = best_scale(renderer, capture, set);
   renderer.set_light(scaled(light, scores.scale));
-  scores.psnr_aligned = mean_psnr(renderer, capture, set, nullptr);
+  const MeanScore aligned = mean_score(renderer, capture, set);
+  scores.psnr_aligned = aligned.psnr;
+  scores.ssim_aligned = aligned.ssim;
   renderer.set_light(own);
   renderer.set_light(scaled(own, best_scale(renderer, capture, set)));
-  scores.psnr_unlit = mean_psnr(renderer, capture, set, nullptr);
+  scores.psnr_unlit = mean_score(renderer, capture, set).psnr;
   return scores;
 }
 

@@ -7,6 +7,7 @@
 
 #include "effigy/avatar/renderer.h"
 #include "effigy/capture/capture.h"
+#include "effigy/capture/truth_scores.h"
 
 namespace effigy {
 
@@ -23,13 +24,7 @@ std::vector<RelightSet> relight_sets(const Capture& capture);
 // capture.
 Path file_inside(const Json& json, const std::string& field, const Path& file);
 
-struct RelightScores {
-  double psnr = 0, ssim = 0;
-  double psnr_aligned = 0;  // after the one global scale that albedo/light ambiguity leaves free
-  double scale = 1;
-  double psnr_unlit = 0;  // the same frames left in the training light, scale-aligned
-  Json to_json() const;
-};
+// In the capture's tracked poses. The avatar's own light is what `psnr_unlit` leaves it in.
 RelightScores score_relight(const HeadAvatar& avatar, const Capture& capture,
                             const RelightSet& set);
 

@@ -1,85 +1,32 @@
 #include "effigy/head/truth_scores.h"
 
-#include <algorithm>
-#include <array>
 #include <cmath>
-#include <numbers>
 
 #include "effigy/base/progress.h"
 #include "effigy/head/relight.h"
-#include "effigy/image/colour.h"
 #include "effigy/image/files.h"
 
 namespace effigy {
 namespace {
 
-constexpr float kCovered = 0.99f;  // alpha of truth and avatar from which a pixel counts
-
-struct Mean {
-  double sum = 0, weight = 0;
-  void add(double value, double by = 1) {
-    sum += by * value;
-    weight += by;
-  }
-  double mean() const { return weight > 0 ? sum / weight : 0.0; }
-};
-
-// One frame's true layers and the avatar's G-buffer values, for the pixels that both cover.
-class FrameTruth {
- public:
-  FrameTruth(const Capture& capture, const CaptureTruth& truth, int frame, const Planes& gbuffer)
-      : albedo_(load_layer(capture, truth, "albedo", frame)),
-        material_(load_layer(capture, truth, "material", frame)),
-        normal_(load_layer(capture, truth, "normal", frame)),
-        depth_(load_layer(capture, truth, "depth", frame)),
-        gbuffer_(gbuffer) {
-    const Image radiance = load_layer(capture, truth, "radiance", frame);
-    for (size_t i = 0; i < gbuffer.pixels(); ++i)
-      if (radiance.data[4 * i + 3] > kCovered && gbuffer.plane(kAlpha)[i] > kCovered &&
-          depth_.data[i] > 0)
-        pixels_.push_back(i);
-  }
-
-  // Albedo, roughness, F0, degrees, millimetres.
-  void add(std::array<Mean, 5>& sums) const {
-    const double scale = albedo_scale();
-    for (const size_t i : pixels_) {
-      for (size_t c = 0; c < 3; ++c) {
-        const auto drawn = static_cast<float>(scale * value(kAlbedo + static_cast<int>(c), i));
-        sums[0].add(std::abs(srgb_from_linear(drawn) - srgb_from_linear(albedo_.data[3 * i + c])));
+// The avatar's G-buffer as a surface.
+SurfaceImages surface_of(const Planes& gbuffer) {
+  const int width = gbuffer.width, height = gbuffer.height;
+  const auto channels = [&](int first, int count) {
+    Image out(width, height, count);
+    for (int c = 0; c < count; ++c)
+      for (size_t i = 0; i < gbuffer.pixels(); ++i) {
+        const float alpha = gbuffer.plane(kAlpha)[i];
+        out.data[static_cast<size_t>(count) * i + static_cast<size_t>(c)] =
+            alpha > 0 ? gbuffer.plane(first + c)[i] / alpha : 0.0f;
       }
-      sums[1].add(std::abs(value(kRoughness, i) - material_.data[3 * i]));
-      sums[2].add(std::abs(value(kSpecular, i) - material_.data[3 * i + 1]));
-      const Vec3d drawn(value(kMappedNormal, i), value(kMappedNormal + 1, i),
-                        value(kMappedNormal + 2, i));
-      const Vec3d truth = Eigen::Map<const Vec3f>(&normal_.data[3 * i]).cast<double>();
-      if (drawn.norm() > 0 && truth.norm() > 0)
-        sums[3].add(std::acos(std::clamp(drawn.normalized().dot(truth.normalized()), -1.0, 1.0)) *
-                    180 / std::numbers::pi);
-      sums[4].add(1000 * std::abs(value(kDepth, i) - depth_.data[i]));
-    }
-  }
-
- private:
-  double value(int plane, size_t i) const {
-    return gbuffer_.plane(plane)[i] / gbuffer_.plane(kAlpha)[i];
-  }
-  // Least squares over linear values.
-  double albedo_scale() const {
-    double cross = 0, square = 0;
-    for (const size_t i : pixels_)
-      for (size_t c = 0; c < 3; ++c) {
-        const double drawn = value(kAlbedo + static_cast<int>(c), i);
-        cross += drawn * albedo_.data[3 * i + c];
-        square += drawn * drawn;
-      }
-    return square > 0 ? cross / square : 1.0;
-  }
-
-  Image albedo_, material_, normal_, depth_;
-  const Planes& gbuffer_;
-  std::vector<size_t> pixels_;
-};
+    return out;
+  };
+  Image alpha(width, height, 1);
+  std::copy_n(gbuffer.plane(kAlpha), gbuffer.pixels(), alpha.data.begin());
+  return {channels(kAlbedo, 3),       channels(kRoughness, 1), channels(kSpecular, 1),
+          channels(kMappedNormal, 3), channels(kDepth, 1),     std::move(alpha)};
+}
 
 }  // namespace
 
@@ -109,9 +56,9 @@ double light_error(const Cubemap& light, const Cubemap& truth) {
 }
 
 Json TruthScores::to_json() const {
-  return {{"albedo_error", albedo_error},     {"roughness_error", roughness_error},
-          {"specular_error", specular_error}, {"normal_degrees", normal_degrees},
-          {"depth_error_mm", depth_error_mm}, {"environment_error", environment_error}};
+  Json json = surface.to_json();
+  json["environment_error"] = environment_error;
+  return json;
 }
 
 std::optional<TruthScores> score_truth(const HeadAvatar& avatar, const Capture& capture,
@@ -119,19 +66,18 @@ std::optional<TruthScores> score_truth(const HeadAvatar& avatar, const Capture& 
   const std::optional<CaptureTruth> truth = read_truth(capture);
   if (!truth || truth->layers.empty()) return std::nullopt;
   HeadRenderer renderer(avatar);
-  std::array<Mean, 5> sums;
+  SurfaceErrors errors;
   for (const int frame : frames) {
     throw_if_interrupted();
     renderer.set_pose(capture.poses[frame]);
     renderer.draw(capture.camera);
-    FrameTruth(capture, *truth, frame, renderer.gbuffer()).add(sums);
+    const auto layer = [&](const char* name) { return load_layer(capture, *truth, name, frame); };
+    errors.add(surface_of(renderer.gbuffer()),
+               surface_from_layers(layer("albedo"), layer("material"), layer("normal"),
+                                   layer("depth"), layer("radiance")));
   }
   TruthScores scores;
-  scores.albedo_error = sums[0].mean();
-  scores.roughness_error = sums[1].mean();
-  scores.specular_error = sums[2].mean();
-  scores.normal_degrees = sums[3].mean();
-  scores.depth_error_mm = sums[4].mean();
+  scores.surface = errors.scores();
   const Path file = capture.folder / "capture.json";
   const Path light = file_inside(capture.extra, "light", file);
   scores.environment_error = light_error(

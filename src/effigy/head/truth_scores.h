@@ -6,19 +6,15 @@
 
 #include "effigy/avatar/renderer.h"
 #include "effigy/capture/truth.h"
+#include "effigy/capture/truth_scores.h"
 
 namespace effigy {
 
-// Means over the pixels that the true head covers whole and the avatar covers, below.
 struct TruthScores {
-  double albedo_error = 0;       // absolute sRGB difference, after one scale a frame
-  double roughness_error = 0;    // absolute difference
-  double specular_error = 0;     // absolute difference of F0
-  double normal_degrees = 0;     // angle between normals, both with the normal map
-  double depth_error_mm = 0;     // absolute difference along the camera's axis
+  SurfaceScores surface;
   double environment_error = 0;  // of the light's irradiance over all directions: L1 of the
                                  // difference over L1 of the truth, after one global scale
-  Json to_json() const;
+  Json to_json() const;          // all in one object
 };
 
 // The last score alone, of two cubemaps of one size.

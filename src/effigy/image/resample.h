@@ -1,9 +1,20 @@
 // Resizing and sampling. Pixel centres at +0.5.
 #pragma once
 
+#include <algorithm>
+
 #include "effigy/image/image.h"
 
 namespace effigy {
+
+// A part of an Image or Image8 that lies inside it.
+template <class Picture>
+Picture cropped(const Picture& image, int left, int top, int width, int height) {
+  Picture out(width, height, image.channels);
+  for (int y = 0; y < height; ++y)
+    std::copy_n(image.at(left, top + y), static_cast<size_t>(width) * image.channels, out.at(0, y));
+  return out;
+}
 
 // Box-filtered when shrinking, bilinear when growing.
 Image resize(const Image& image, int width, int height);
