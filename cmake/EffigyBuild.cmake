@@ -57,8 +57,6 @@ function(effigy_test room file)
   target_compile_definitions(${target} PRIVATE
     EFFIGY_SOURCE_DIR="${PROJECT_SOURCE_DIR}" EFFIGY_BINARY_DIR="${CMAKE_BINARY_DIR}")
   add_test(NAME ${room}/${file} COMMAND ${target})
-  # As the launcher has it: libgomp's threads must not spin where ours work.
-  set_tests_properties(${room}/${file} PROPERTIES ENVIRONMENT OMP_WAIT_POLICY=passive)
   if(TEST_TIMEOUT)
     set_tests_properties(${room}/${file} PROPERTIES TIMEOUT ${TEST_TIMEOUT})
   else()

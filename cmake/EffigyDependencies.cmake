@@ -3,7 +3,7 @@
 find_package(PkgConfig REQUIRED)
 find_package(Threads REQUIRED)
 find_package(spdlog REQUIRED)        # base: log lines
-find_package(TBB REQUIRED)           # base: the thread pool
+find_package(OpenMP REQUIRED)        # base: threads
 find_package(Eigen3 REQUIRED NO_MODULE)  # geometry: small vectors, sparse matrices
 find_package(embree 3 REQUIRED)      # rays: ray queries on meshes
 find_package(PNG REQUIRED)           # image: PNG, 8 and 16 bit

@@ -87,5 +87,3 @@ ensure_built() {
 }
 
 export EFFIGY_NPM="$npm_dir/node_modules"
-# libgomp reads this only when it is loaded; libtorch's threads must not spin beside ours.
-export OMP_WAIT_POLICY=passive

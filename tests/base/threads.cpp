@@ -7,6 +7,7 @@
 #include <atomic>
 #include <mutex>
 #include <stdexcept>
+#include <thread>
 #include <vector>
 
 #include "effigy/base/error.h"
@@ -120,6 +121,20 @@ TEST(RunSlots, EachSlotOnce) {
       for (int i = 0; i < 13; ++i) EXPECT_EQ(visits[static_cast<size_t>(i)], i < slots ? 1 : 0);
     }
   }
+}
+
+TEST(OneThread, KeepsWorkOnItsThread) {
+  const Threads set(3);
+  std::thread beside([] {
+    const OneThread alone;
+    EXPECT_EQ(thread_count(), 1);
+    const auto here = std::this_thread::get_id();
+    run_slots(4, [&](int) { EXPECT_EQ(std::this_thread::get_id(), here); });
+    { const OneThread inner; }
+    EXPECT_EQ(thread_count(), 1);
+  });
+  EXPECT_EQ(thread_count(), 3);
+  beside.join();
 }
 
 TEST(ThreadCount, Limits) {

@@ -1,51 +1,64 @@
 #include "effigy/base/threads.h"
 
-#include <oneapi/tbb/global_control.h>
-#include <oneapi/tbb/parallel_for.h>
-#include <oneapi/tbb/partitioner.h>
-#include <oneapi/tbb/task_arena.h>
-
 #include <algorithm>
-#include <memory>
+#include <atomic>
+#include <exception>
 #include <mutex>
 #include <thread>
+#include <vector>
 
 #include "effigy/base/error.h"
 
 namespace effigy {
 namespace {
 
-int g_threads = 0;
-std::mutex g_arena_mutex;
-std::unique_ptr<tbb::global_control> g_control;  // allows more threads than cores when asked for
-std::unique_ptr<tbb::task_arena> g_arena;
+std::atomic<int> g_threads{0};
+thread_local int t_alone = 0;  // OneThreads that live here
 
-tbb::task_arena& arena() {
-  const std::lock_guard lock(g_arena_mutex);
-  if (!g_arena) {
-    const int threads = thread_count();
-    g_control = std::make_unique<tbb::global_control>(tbb::global_control::max_allowed_parallelism,
-                                                      static_cast<size_t>(threads));
-    g_arena = std::make_unique<tbb::task_arena>(threads);
-  }
-  return *g_arena;
+// Calls body(slot) for every slot, on a team of so many threads.
+//
+// OpenMP's, because its threads wait awake for a while: the next piece of work begins within 3
+// microseconds, where a sleeping thread takes 50 to 1000 (BENCHMARKS.md), and because libtorch
+// works on the same team. Inside of other parallel work everything runs on the caller's thread.
+void on_team(int threads, int slots, const std::function<void(int)>& body) {
+#if defined(__SANITIZE_THREAD__)
+  // The thread sanitizer does not see OpenMP's barriers.
+  std::vector<std::thread> team;
+  team.reserve(static_cast<size_t>(threads));
+  for (int t = 0; t < threads; ++t)
+    team.emplace_back([&, t] {
+      for (int slot = t; slot < slots; slot += threads) body(slot);
+    });
+  for (std::thread& thread : team) thread.join();
+#else
+#pragma omp parallel for num_threads(threads) schedule(static, 1)
+  for (int slot = 0; slot < slots; ++slot) body(slot);
+#endif
 }
 
 }  // namespace
 
+OneThread::OneThread() {
+  ++t_alone;
+}
+OneThread::~OneThread() {
+  --t_alone;
+}
+
 int thread_count() {
-  if (g_threads == 0)
-    g_threads = std::clamp(static_cast<int>(std::thread::hardware_concurrency()), 1, 256);
-  return g_threads;
+  if (t_alone > 0) return 1;
+  int count = g_threads;
+  if (count == 0) {
+    count = std::clamp(static_cast<int>(std::thread::hardware_concurrency()), 1, 256);
+    g_threads = count;
+  }
+  return count;
 }
 
 void set_thread_count(int count) {
   if (count < 1 || count > 256)
     throw Error("--threads must be between 1 and 256, got " + std::to_string(count) + ".");
-  const std::lock_guard lock(g_arena_mutex);
   g_threads = count;
-  g_arena.reset();
-  g_control.reset();
 }
 
 void run_slots(int slots, const std::function<void(int)>& body) {
@@ -53,10 +66,18 @@ void run_slots(int slots, const std::function<void(int)>& body) {
     for (int slot = 0; slot < slots; ++slot) body(slot);
     return;
   }
-  arena().execute([&] {
-    tbb::parallel_for(
-        0, slots, 1, [&](int slot) { body(slot); }, tbb::static_partitioner());
+  // Exceptions must not leave the team.
+  std::mutex mutex;
+  std::exception_ptr first;
+  on_team(thread_count(), slots, [&](int slot) {
+    try {
+      body(slot);
+    } catch (...) {
+      const std::lock_guard lock(mutex);
+      if (!first) first = std::current_exception();
+    }
   });
+  if (first) std::rethrow_exception(first);
 }
 
 void parallel_for(size_t count, size_t grain,

@@ -9,6 +9,7 @@
 #include "effigy/base/error.h"
 #include "effigy/base/log.h"
 #include "effigy/base/random.h"
+#include "effigy/base/threads.h"
 
 namespace effigy {
 namespace {
@@ -207,7 +208,11 @@ struct StageViews::State {
     ring.resize(static_cast<size_t>(options.ahead));
     const StageCapture& capture = source.capture();
     seen.resize(capture.frames.size() * capture.cameras.size());
-    for (int i = 0; i < options.threads; ++i) workers.emplace_back([this] { work(); });
+    for (int i = 0; i < options.threads; ++i)
+      workers.emplace_back([this] {
+        const OneThread beside_training;
+        work();
+      });
   }
   ~State() {
     {

@@ -9,6 +9,7 @@
 #include "effigy/base/error.h"
 #include "effigy/base/log.h"
 #include "effigy/base/progress.h"
+#include "effigy/base/threads.h"
 #include "effigy/track/frame_source.h"
 #include "effigy/track/mediapipe.h"
 
@@ -117,6 +118,7 @@ VideoObservation observe_video(const Path& video, const ModelSet& models,
     collect();
     beside = std::async(std::launch::async, [&tracker, &torso, picture = std::move(frame.picture),
                                              face = std::move(located)]() mutable {
+      const OneThread beside_the_networks;
       tracker.score(face);
       Beside done{
           .face = {}, .torso = torso.follow(picture, face), .photo = photo_window(picture, face)};

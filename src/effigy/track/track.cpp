@@ -6,6 +6,7 @@
 #include <future>
 
 #include "effigy/base/log.h"
+#include "effigy/base/threads.h"
 #include "effigy/capture/capture.h"
 #include "effigy/image/video.h"
 #include "effigy/people/builtin_head.h"
@@ -92,8 +93,10 @@ Json track_video(const Path& video, const Path& output, const TrackOptions& opti
   capture.consent = options.consent;
   capture.licence = options.licence;
   // The rig is prepared while the networks see the first frames; a bad one ends the pass early.
-  std::future<Rig> rig =
-      std::async(std::launch::async, [&] { return choose_rig(options, models); });
+  std::future<Rig> rig = std::async(std::launch::async, [&] {
+    const OneThread beside_the_networks;
+    return choose_rig(options, models);
+  });
   const auto take_rig = [&] {
     if (!rig.valid()) return;
     capture.rig = rig.get();
