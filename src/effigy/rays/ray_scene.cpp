@@ -11,8 +11,7 @@
 namespace effigy {
 namespace {
 
-// One device for the process: creating one costs milliseconds. Its "threads" setting would limit
-// oneTBB, and with it all of our kernels, to that many threads.
+// One device for the process: creating one costs milliseconds.
 RTCDevice device() {
   static const RTCDevice shared = [] {
     const RTCDevice made = rtcNewDevice("set_affinity=0");
