@@ -72,6 +72,7 @@ TEST(StageCapture, EachDamageIsNamed) {
   names([](Json& j) { j["cameras"] = Json::array(); }, "no cameras");
   names([](Json& j) { j["lights"][0]["intensity"] = {-1, 0, 0}; }, "'intensity'");
   names([](Json& j) { j["lights"][0]["position"] = {1, 0}; }, "'position'");
+  names([](Json& j) { j["lights"] = Json::array(); }, "no lights");
   names([](Json& j) { j["frames"][1]["lights"][0][0] = 3; }, "light");
   names([](Json& j) { j["frames"][1]["lights"][0][1] = -1; }, "light");
   names([](Json& j) { j["frames"][1]["lights"] = "all"; }, "'lights'");

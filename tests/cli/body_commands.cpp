@@ -2,6 +2,7 @@
 
 #include "cli/run.h"
 #include "effigy/base/json.h"
+#include "effigy/base/safetensors.h"
 #include "lit_ball.h"
 
 namespace effigy {
@@ -197,6 +198,25 @@ TEST(BodyCommands, BadInputIsOneSentence) {
   stage["keypoints"]["body"] = {"top"};
   std::filesystem::remove(out / "other/tracking.safetensors");
   expect_sentence("train " + (out / "other").string() + " -o /tmp/x", "tracking.safetensors");
+}
+
+TEST(BodyCommands, RigsWithoutTextureCoordinatesAreRefused) {
+  const test::ScratchFolder out;
+  for (const char* name : {"capture", "body"}) {
+    std::filesystem::copy(trained() / name, out / name, std::filesystem::copy_options::recursive);
+    const Path file = out / name / "rig.safetensors";
+    TensorFile rig = read_safetensors(file);
+    rig.tensors.erase("uvs");
+    rig.tensors.erase("uv_triangles");
+    write_safetensors(file, rig);
+  }
+  const std::string bad = (out / "capture").string(), avatar = (out / "body").string(),
+                    to = (out / "to").string();
+  for (const std::string& command :
+       {"info " + bad, "train " + bad + " -o " + to, "eval " + body() + " " + bad + " -o " + to,
+        "info " + avatar, "render " + avatar + " -o " + to, "textures " + avatar + " export " + to})
+    expect_sentence(command, "no texture coordinates (UVs)");
+  EXPECT_FALSE(std::filesystem::exists(out / "to"));
 }
 
 TEST(BodyCommands, InterruptedTrainingGoesOn) {

@@ -5,6 +5,7 @@
 
 #include "cli/run.h"
 #include "effigy/base/json.h"
+#include "effigy/base/safetensors.h"
 #include "infer/perceptual_files.h"
 #include "support.h"
 #include "tiny_capture.h"
@@ -288,8 +289,36 @@ TEST(Commands, SynthBodyRefusesBadInputInOneSentence) {
     EXPECT_FALSE(std::filesystem::exists(scratch / "x.partial"));
   };
   fails("--lights 0", "at least one light");
-  fails("--cameras 0", "cameras");
-  fails("--radius nan", "radius");
+  fails("--lights -1", "at least one light");
+  for (const char* wrong : {"--cameras 0",
+                            "--cameras -1",
+                            "--radius nan",
+                            "--radius 0",
+                            "--radius -1",
+                            "--frames -1",
+                            "--frames 0",
+                            "--fps -1",
+                            "--fps 0",
+                            "--size 0",
+                            "--size -1",
+                            "--size 64 -1",
+                            "--spp 0",
+                            "--spp -4",
+                            "--bounces 0",
+                            "--texture-size 0",
+                            "--texture-size -1",
+                            "--subject -1",
+                            "--relight-frames 0",
+                            "--relight-frames -1",
+                            "--unseen-frames -1",
+                            "--unseen-frames 2",
+                            "--tracking-error -1"}) {
+    const std::string option = wrong;
+    fails(option, option.substr(0, option.find(' ')));
+  }
+  // Some cameras are in the body, others are not.
+  fails("--radius 0.2 --cameras 12", "camera cam003");
+  fails("--body " + (scratch / "none.glb").string(), "none.glb");
   fails("--stage huge", "huge");
   fails("--lighting dark", "dark");
   write_text(scratch / "broken.hdr", "#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 4 +X 8\nxx");
@@ -320,6 +349,33 @@ TEST(Commands, SynthRefusesBadInputInOneSentence) {
   fails(head + "--relight " + (scratch / "nan.exr").string(), "not finite");
   fails(head + "--light moon", "moon");
   fails(head + "--distance 0.01", "camera is inside");
+  for (const char* wrong : {"--size -1",
+                            "--size 0",
+                            "--fps 0",
+                            "--fps -1",
+                            "--spp 0",
+                            "--spp -1",
+                            "--bounces 0",
+                            "--bounces -1",
+                            "--texture-size 0",
+                            "--texture-size -1",
+                            "--distance 0",
+                            "--distance -1",
+                            "--subject -1",
+                            "--relight-frames 0",
+                            "--relight-frames -1",
+                            "--noise -1",
+                            "--compression -1",
+                            "--compression 101",
+                            "--tracking-error -1",
+                            "--measure-noise 0",
+                            "--measure-noise -2"}) {
+    const std::string option = wrong;
+    fails("head -o " + (scratch / "x").string() + " " + option, option.substr(0, option.find(' ')));
+  }
+  fails("head --frames 0 -o " + (scratch / "x").string(), "--frames");
+  fails("head --frames -3 -o " + (scratch / "x").string(), "--frames");
+  fails("scene x.json -o x.exr --spp 0", "--spp");
   fails(head + "--truth guess", "guess");
   fails("", "subcommand");
   EXPECT_FALSE(std::filesystem::exists(scratch / "x"));
@@ -352,6 +408,46 @@ TEST(Commands, SynthRefusesBadInputInOneSentence) {
   write_text(scratch / "plate.obj",
              box + "f 1 3 4 2\nf 5 6 8 7\nf 1 2 6 5\nf 3 7 8 4\nf 1 5 7 3\nf 2 4 8 6\n");
   fails(scene({}), "inside a mesh");
+}
+
+// A rig without UVs, or with damaged ones, in a capture or an avatar: the same sentence everywhere.
+TEST(Commands, RigsWithoutTextureCoordinatesAreRefused) {
+  test::ScratchFolder scratch;
+  std::filesystem::copy(trained() / "capture", scratch / "capture",
+                        std::filesystem::copy_options::recursive);
+  std::filesystem::copy(trained() / "avatar", scratch / "avatar",
+                        std::filesystem::copy_options::recursive);
+  const std::string capture = (scratch / "capture").string(),
+                    avatar = (scratch / "avatar").string(), sound = (trained() / "avatar").string(),
+                    out = (scratch / "out").string();
+  const TensorFile good = read_safetensors(scratch / "capture/rig.safetensors");
+  for (const bool damaged : {false, true}) {
+    TensorFile bad = good;
+    if (damaged) {
+      std::vector<int32_t> corners = good.ints("uv_triangles", {-1, 3});
+      corners[4] = 1 << 28;
+      bad.tensors["uv_triangles"] =
+          Tensor::from(std::span<const int32_t>(corners), good.shape("uv_triangles"));
+    } else {
+      bad.tensors.erase("uvs");
+      bad.tensors.erase("uv_triangles");
+    }
+    for (const Path& folder : {scratch / "capture", scratch / "avatar"})
+      write_safetensors(folder / "rig.safetensors", bad);
+    for (const std::string& command :
+         {"info " + capture, "train " + capture + " -o " + out + " --iterations 2",
+          "eval " + sound + " " + capture + " -o " + out, "info " + avatar,
+          "render " + avatar + " -o " + out, "eval " + avatar + " " + capture + " -o " + out,
+          "textures " + avatar + " export " + out}) {
+      const Outcome outcome = run(command);
+      EXPECT_EQ(outcome.code, 2) << command << outcome.err;
+      EXPECT_TRUE(outcome.one_sentence()) << command << outcome.err;
+      EXPECT_TRUE(contains(outcome.err, damaged ? "UV triangle 1 has index 268435456"
+                                                : "no texture coordinates (UVs)"))
+          << command << outcome.err;
+      EXPECT_FALSE(std::filesystem::exists(out)) << command;
+    }
+  }
 }
 
 TEST(Commands, StudyScoresItsCellsOnce) {

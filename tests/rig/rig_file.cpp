@@ -102,6 +102,9 @@ TEST(RigCheck, EveryFieldIsChecked) {
       {"triangle", [](Rig& r) { r.mesh.triangles[2][1] = -1; }},
       {"UV triangle", [](Rig& r) { r.mesh.uv_triangles[0][0] = 3; }},
       {"UV triangle", [](Rig& r) { r.mesh.uv_triangles.pop_back(); }},
+      {"texture coordinates (UVs)", [](Rig& r) { r.mesh.uv_triangles.clear(); }},
+      {"UV vertex", [&](Rig& r) { r.mesh.uvs[1][0] = nan; }},
+      {"uvs", [](Rig& r) { r.mesh.uvs[1][1] = -1e9f; }},
       {"part", [](Rig& r) { r.mesh.triangle_part[0] = 2; }},
       {"identity_basis", [](Rig& r) { r.identity_basis.pop_back(); }},
       {"identity_sigma", [](Rig& r) { r.identity_sigma[0] = -1; }},
@@ -152,6 +155,11 @@ TEST(RigFile, DamagedFilesAreRefused) {
     EXPECT_NE(refusal([&] { read_rig(path); }).find(path.string()), std::string::npos) << name;
   }
   TensorFile bad = good;
+  bad.tensors.erase("uvs");
+  bad.tensors.erase("uv_triangles");
+  write_safetensors(path, bad);
+  EXPECT_NE(refusal([&] { read_rig(path); }).find("no texture coordinates"), std::string::npos);
+  bad = good;
   bad.metadata["parts"] = "{}";
   write_safetensors(path, bad);
   EXPECT_NE(refusal([&] { read_rig(path); }).find("parts"), std::string::npos);

@@ -353,6 +353,13 @@ TEST(SynthBody, RefusesACameraInTheBodyAndForeignFolders) {
     EXPECT_TRUE(test::contains(error.what(), "camera cam")) << error.what();
   }
   EXPECT_FALSE(fs::exists(scratch / "stage.partial"));
+  // The first camera is outside, another is not: nothing is left that blocks corrected options.
+  options.stage.radius = 0.2;
+  options.stage.height = 0.95;
+  options.stage.cameras = 12;
+  EXPECT_TRUE(test::contains(
+      test::error_of([&] { synth_body_capture(options, scratch / "stage"); }), "camera cam003"));
+  EXPECT_FALSE(fs::exists(scratch / "stage.partial"));
   write_text(scratch / "mine/letter.txt", "dear");
   EXPECT_THROW(synth_body_capture(tiny(), scratch / "mine"), Error);
 }
@@ -364,6 +371,11 @@ TEST(SynthBody, PlanCountsWithoutMaking) {
   EXPECT_EQ(plan.train + plan.held_out_lights + plan.unseen + plan.relit, 5);
   EXPECT_EQ(plan.samples, int64_t{15} * 48 * 48 * 4);
   EXPECT_GT(plan.seconds, 0);
+  // The disk space of the capture as it came out, to a quarter.
+  double bytes = 0;
+  for (const auto& entry : fs::recursive_directory_iterator(capture().folder))
+    if (entry.is_regular_file()) bytes += static_cast<double>(entry.file_size());
+  EXPECT_NEAR(static_cast<double>(plan.bytes) / bytes, 1, 0.25);
 }
 
 }  // namespace

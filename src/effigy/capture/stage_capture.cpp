@@ -299,6 +299,11 @@ StageCapture read_stage_capture(const Path& folder) {
     capture.lights.push_back(light_from(light, file));
   std::set<int64_t> numbers;
   for (const Json& frame : json_field<std::vector<Json>>(json, "frames", file)) {
+    if (capture.lights.empty() && !frame.contains("environment"))
+      throw Error(
+          file.string() +
+          ": it has no lights, but its frames are lit by lights; put back field 'lights' or "
+          "make the capture again.");
     capture.frames.push_back(
         frame_from(frame, capture.cameras.size(), capture.lights.size(), file));
     if (!numbers.insert(capture.frames.back().number).second)

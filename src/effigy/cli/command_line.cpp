@@ -35,6 +35,18 @@ bool parse_command_line(CLI::App& app, int argc, char** argv, const CommonOption
   return true;
 }
 
+CLI::Validator at_least(int least) {
+  return CLI::Validator(
+      [least](std::string& text) {
+        char* end = nullptr;
+        const double value = std::strtod(text.c_str(), &end);
+        if (text.empty() || *end != '\0' || !(value >= least))
+          return text + " is not a number from " + std::to_string(least) + " on";
+        return std::string();
+      },
+      ">=" + std::to_string(least));
+}
+
 std::vector<double> parse_numbers(const std::string& text, size_t count,
                                   const std::string& option) {
   std::vector<double> numbers;

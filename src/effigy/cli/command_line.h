@@ -23,6 +23,9 @@ void add_common(CLI::App& app, CommonOptions& options, bool seed, bool json);
 // usage; applies --threads.
 bool parse_command_line(CLI::App& app, int argc, char** argv, const CommonOptions& options);
 
+// For options: a number from `least` on.
+CLI::Validator at_least(int least);
+
 // "x,y,z,..." as exactly `count` finite numbers; throws Error naming `option`.
 std::vector<double> parse_numbers(const std::string& text, size_t count, const std::string& option);
 

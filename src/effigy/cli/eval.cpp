@@ -78,7 +78,7 @@ int evaluate_command(int argc, char** argv, const DistanceSource& source) {
                  "Steps of the protocol refined (default 60)")
       ->check(CLI::Range(1, 1000));
   app.add_option("--frames", options.most_frames, "Score at most this many frames, evenly spread")
-      ->check(CLI::PositiveNumber);
+      ->check(at_least(1));
   app.add_option("--light", options.lights,
                  "Lights of the report's relit rows (names or HDR/EXR files)")
       ->delimiter(',');

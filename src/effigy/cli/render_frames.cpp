@@ -43,9 +43,8 @@ void declare_frames(CLI::App& app, RenderFrames& o, const std::vector<std::strin
       ->delimiter(',')
       ->check(CLI::IsMember(buffer_names));
   app.add_option("--background", o.background, "r,g,b display-encoded (default 0,0,0)");
-  app.add_option("--first", o.first, "First frame of the track")->check(CLI::NonNegativeNumber);
-  app.add_option("--count", o.count, "Number of frames (default: to the end)")
-      ->check(CLI::PositiveNumber);
+  app.add_option("--first", o.first, "First frame of the track")->check(at_least(0));
+  app.add_option("--count", o.count, "Number of frames (default: to the end)")->check(at_least(1));
   app.add_option("--size", o.size, "Height in pixels (default: the capture's)")
       ->check(CLI::Range(16, 8192));
   app.add_option("--shard", o.shard,

@@ -160,7 +160,7 @@ int run_study(int argc, char** argv) {
   app.add_option("--surfels", options.surfels, "Override the preset's number of surfels");
   app.add_option("--texture-size", options.texture_size, "Override the preset's texture size");
   app.add_option("--frames", options.frames, "Score at most this many held-out frames")
-      ->check(CLI::PositiveNumber);
+      ->check(at_least(1));
   app.add_option("--cell", options.only, "Only this cell (and 'all'); repeatable");
   app.add_flag("--list", list, "Only print the names of the cells");
   add_common(app, common, true, true);

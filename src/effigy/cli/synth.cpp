@@ -29,7 +29,8 @@ void add_head(CLI::App& app, HeadCommand& c) {
   o.size = 512;
   o.relight_frames = -1;
   app.add_option("-o,--output", c.output, "Capture folder")->required();
-  app.add_option("--subject", o.subject, "Who: 1 to 5 are the standard subjects (default 1)");
+  app.add_option("--subject", o.subject, "Who: 1 to 5 are the standard subjects (default 1)")
+      ->check(at_least(0));
   app.add_option("--frames", o.frames, "Frames (default 120)");
   app.add_option("--size", o.size, "Pixels a side (default 512)");
   app.add_option("--fps", o.frames_per_second, "Frames a second (default 30)");
@@ -38,7 +39,8 @@ void add_head(CLI::App& app, HeadCommand& c) {
   app.add_option("--relight", o.relight,
                  "Lights for the truth of the held-out frames (default overcast sunset window)");
   app.add_option("--relight-frames", o.relight_frames,
-                 "How many held-out frames get that truth (default all)");
+                 "How many held-out frames get that truth (default all)")
+      ->check(at_least(1));
   app.add_flag("--no-relight", c.no_relight, "No frames under other lights");
   app.add_option("--spp", o.samples, "Samples a pixel (default 64; powers of two are best)");
   app.add_flag("--subsurface", o.subsurface,
@@ -58,7 +60,8 @@ void add_head(CLI::App& app, HeadCommand& c) {
   app.add_option("--tracking-error", o.tracking_error,
                  "Error of the tracked parameters; 1: about 1 mm, half a degree, 0.03 of a shape");
   app.add_option("--measure-noise", c.measure_noise,
-                 "Only print the PSNR of four frames under each light against N times the samples");
+                 "Only print the PSNR of four frames under each light against N times the samples")
+      ->check(CLI::Range(2, 1024));
 }
 
 struct SceneCommand {
@@ -122,7 +125,6 @@ int synth_head(HeadCommand& c, const CommonOptions& common) {
     std::erase(o.relight, o.light);
   }
   if (c.measure_noise > 0) {
-    if (c.measure_noise < 2) throw Error("--measure-noise needs a factor of at least 2.");
     print_noise(c, common);
     return 0;
   }
@@ -170,7 +172,8 @@ int run_synth(int argc, char** argv) {
       app.add_subcommand("scene", "one picture of a described scene (docs/synth.md)");
   scene_app->add_option("SCENE", scene.scene, "JSON description")->required();
   scene_app->add_option("-o,--output", scene.output, "Picture: .exr (linear) or .png")->required();
-  scene_app->add_option("--spp", scene.samples, "Samples a pixel (default: as described)");
+  scene_app->add_option("--spp", scene.samples, "Samples a pixel (default: as described)")
+      ->check(at_least(1));
   add_common(*scene_app, common, false, true);
   if (!parse_command_line(app, argc, argv, common)) return 0;
   if (body_app->parsed()) return synth_body(body, common);

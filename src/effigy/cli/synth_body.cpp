@@ -10,8 +10,8 @@ namespace {
 
 StageOptions stage_from(const BodyCommand& c, const CommonOptions& common) {
   StageOptions stage = stage_preset(c.stage);
-  const auto take = [](auto given, auto& value) {
-    if (given != -1) value = given;
+  const auto take = [](const auto& given, auto& value) {
+    if (given) value = *given;
   };
   take(c.cameras, stage.cameras);
   take(c.lights, stage.lights);
@@ -82,7 +82,8 @@ void print_plan(const BodyCommand& c, bool json) {
 void add_synth_body(CLI::App& app, BodyCommand& c) {
   SynthBodyOptions& o = c.options;
   app.add_option("-o,--output", c.output, "Capture folder");
-  app.add_option("--subject", o.subject, "Who: 1 to 5 are the standard subjects (default 1)");
+  app.add_option("--subject", o.subject, "Who: 1 to 5 are the standard subjects (default 1)")
+      ->check(at_least(0));
   app.add_option(
       "--body", o.body,
       "Your own instead: a skinned glTF file or a MakeHuman folder; without --motion it sways");
@@ -99,7 +100,8 @@ void add_synth_body(CLI::App& app, BodyCommand& c) {
   app.add_option("--radius", c.radius, "Of the dome, metres (default 2.75)");
   app.add_option("--frames", c.frames, "Frames in all");
   app.add_option("--unseen-frames", c.unseen_frames,
-                 "Of them, of unseen motion (default an eighth)");
+                 "Of them, of unseen motion (default an eighth)")
+      ->check(at_least(0));
   app.add_option("--fps", c.frames_per_second, "Frames a second (default 5)");
   app.add_option("--size", c.size, "Pixels: a side, or width and height")->expected(1, 2);
   app.add_option("--framing", c.framing,
@@ -113,7 +115,8 @@ void add_synth_body(CLI::App& app, BodyCommand& c) {
                  "or HDR file");
   app.add_option("--relight", o.relight,
                  "Lights under which moments of the unseen motion are seen again");
-  app.add_option("--relight-frames", o.relight_frames, "How many moments (default 2)");
+  app.add_option("--relight-frames", o.relight_frames, "How many moments (default 2)")
+      ->check(at_least(1));
   app.add_option("--motion", o.motion, "BVH file of the training motion (default built-in)");
   app.add_option("--unseen-motion", o.unseen_motion, "BVH file of the unseen motion");
   app.add_option("--mesh", c.mesh,

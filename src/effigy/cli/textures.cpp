@@ -6,6 +6,7 @@
 #include "effigy/base/log.h"
 #include "effigy/cli/command_line.h"
 #include "effigy/cli/commands.h"
+#include "effigy/rig/rig_file.h"
 
 namespace effigy {
 namespace {
@@ -65,7 +66,9 @@ int run_textures(int argc, char** argv) {
   if (!parse_command_line(app, argc, argv, common)) return 0;
 
   const Path textures = Path(avatar_path) / "textures";
-  if (avatar_kind(avatar_path) == "body") return edit_body(avatar_path, action, folder, rectangle);
+  const bool body = avatar_kind(avatar_path) == "body";
+  read_rig(Path(avatar_path) / "rig.safetensors");  // maps belong to its texture coordinates
+  if (body) return edit_body(avatar_path, action, folder, rectangle);
   MaterialTexture material = read_material(textures);
   if (action == "export") {
     write_material(folder, material);

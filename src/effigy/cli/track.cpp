@@ -49,11 +49,10 @@ int run_track(int argc, char** argv) {
   app.add_option("--size", options.size, "Side of the head crop in pixels (default 512)")
       ->check(CLI::Range(64, 4096));
   app.add_option("--matte", matte, "Folder of your own mattes, one picture a frame");
-  app.add_option("--frames", options.most_frames, "Use only the first frames")
-      ->check(CLI::PositiveNumber);
+  app.add_option("--frames", options.most_frames, "Use only the first frames")->check(at_least(1));
   app.add_option("--test", options.test_frames,
                  "Hold out the last frames (default: a quarter, at most 350)")
-      ->check(CLI::NonNegativeNumber);
+      ->check(at_least(0));
   app.add_flag("--tolerant", options.tolerant,
                "Go on with several people in the picture, or long times without a face");
   app.add_option("--consent", consent, "What the person agreed to; recorded with the avatar");

@@ -60,7 +60,7 @@ struct RigPose {
   static RigPose rest(const Rig& rig);
 };
 
-// Throws Error (prefixed by `name`) unless sizes, indices, weights and values are consistent.
+// Throws Error (prefixed by `name`) unless sizes, UVs, indices, weights and values are consistent.
 void check_rig(const Rig& rig, const std::string& name);
 
 // What deforms: the arrays that training may tune, plus the joints frozen at the rest shape.

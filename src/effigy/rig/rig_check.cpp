@@ -9,6 +9,7 @@ namespace {
 constexpr int kMostJoints = 256;
 constexpr int kMostShapes = 100'000;
 constexpr int kMostVertices = 10'000'000;
+constexpr float kFurthestUv = 1000;  // tiles; far beyond, texels cannot be counted in 32 bits
 
 class Checker {
  public:
@@ -18,6 +19,7 @@ class Checker {
   void check() const {
     check_mesh(rig_.mesh, name_);
     need(rig_.mesh.vertex_count() <= kMostVertices, "mesh", "has more than ten million vertices");
+    check_uvs();
     check_counts();
     check_bases();
     check_joints();
@@ -44,6 +46,18 @@ class Checker {
     for (size_t i = 0; i < values.size(); ++i)
       if (!std::isfinite(values[i]))
         need(false, field, "is not finite at element " + std::to_string(i));
+  }
+
+  // check_mesh has seen indices and values. Every avatar has its look in textures.
+  void check_uvs() const {
+    if (rig_.mesh.uv_triangles.empty())
+      throw Error(
+          name_ +
+          ": the rig's mesh has no texture coordinates (UVs), and an avatar's textures need "
+          "them; unwrap the mesh and make the rig again.");
+    for (size_t i = 0; i < rig_.mesh.uvs.size(); ++i)
+      if (rig_.mesh.uvs[i].cwiseAbs().maxCoeff() > kFurthestUv)
+        need(false, "uvs", "is nowhere near [0, 1] at UV vertex " + std::to_string(i));
   }
 
   void check_counts() const {

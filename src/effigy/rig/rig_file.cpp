@@ -92,6 +92,47 @@ Mesh get_mesh(const TensorFile& file) {
   return mesh;
 }
 
+TensorFile rig_tensors(const Rig& rig) {
+  TensorFile file;
+  const int64_t vertices = rig.mesh.vertex_count(), faces = rig.mesh.triangle_count();
+  const int64_t joints = rig.joint_count();
+  // Empty arrays are left out.
+  const auto put = [&](const char* name, const std::vector<float>& values,
+                       std::vector<int64_t> shape) {
+    if (!values.empty())
+      file.tensors[name] = Tensor::from(std::span<const float>(values), std::move(shape));
+  };
+  const auto put_ints = [&](const char* name, const std::vector<int>& values,
+                            std::vector<int64_t> shape) {
+    if (!values.empty())
+      file.tensors[name] = Tensor::from(std::span<const int32_t>(values), std::move(shape));
+  };
+  file.metadata["format"] = kFormat;
+  file.metadata["kind"] = rig.kind;
+  file.metadata["licence"] = rig.licence;
+  file.metadata["parts"] = Json(rig.mesh.parts).dump();
+  file.metadata["expression_names"] = Json(rig.expression_names).dump();
+  file.metadata["joint_names"] = Json(rig.joint_names).dump();
+  put("vertices", rig.mesh.vertices, {vertices, 3});
+  put_ints("triangles", flatten<int>(rig.mesh.triangles), {faces, 3});
+  put("uvs", flatten<float>(rig.mesh.uvs), {length(rig.mesh.uvs.size()), 2});
+  put_ints("uv_triangles", flatten<int>(rig.mesh.uv_triangles), {faces, 3});
+  put_ints("triangle_part", rig.mesh.triangle_part, {faces});
+  put("identity_basis", rig.identity_basis, {rig.identity_count, vertices, 3});
+  put("expression_basis", rig.expression_basis, {rig.expression_count, vertices, 3});
+  put("pose_basis", rig.pose_basis, {9 * (joints - 1), vertices, 3});
+  put("identity_sigma", rig.identity_sigma, {rig.identity_count});
+  put("expression_low", rig.expression_low, {rig.expression_count});
+  put("expression_high", rig.expression_high, {rig.expression_count});
+  put_ints("parents", rig.parents, {joints});
+  put("joint_regressor", rig.joint_regressor, {joints, vertices});
+  put("weights", rig.weights, {vertices, joints});
+  put_landmarks(file, "mediapipe", rig.mediapipe);
+  put_landmarks(file, "multipie", rig.multipie);
+  put_ints("neck_ring", rig.neck_ring, {length(rig.neck_ring.size())});
+  return file;
+}
+
 }  // namespace
 
 Rig read_rig(const Path& path) {
@@ -134,44 +175,13 @@ Rig read_rig(const Path& path) {
 
 void write_rig(const Path& path, const Rig& rig) {
   check_rig(rig, path.string());
-  TensorFile file;
-  const int64_t vertices = rig.mesh.vertex_count(), faces = rig.mesh.triangle_count();
-  const int64_t joints = rig.joint_count();
-  // Empty arrays are left out.
-  const auto put = [&](const char* name, const std::vector<float>& values,
-                       std::vector<int64_t> shape) {
-    if (!values.empty())
-      file.tensors[name] = Tensor::from(std::span<const float>(values), std::move(shape));
-  };
-  const auto put_ints = [&](const char* name, const std::vector<int>& values,
-                            std::vector<int64_t> shape) {
-    if (!values.empty())
-      file.tensors[name] = Tensor::from(std::span<const int32_t>(values), std::move(shape));
-  };
-  file.metadata["format"] = kFormat;
-  file.metadata["kind"] = rig.kind;
-  file.metadata["licence"] = rig.licence;
-  file.metadata["parts"] = Json(rig.mesh.parts).dump();
-  file.metadata["expression_names"] = Json(rig.expression_names).dump();
-  file.metadata["joint_names"] = Json(rig.joint_names).dump();
-  put("vertices", rig.mesh.vertices, {vertices, 3});
-  put_ints("triangles", flatten<int>(rig.mesh.triangles), {faces, 3});
-  put("uvs", flatten<float>(rig.mesh.uvs), {length(rig.mesh.uvs.size()), 2});
-  put_ints("uv_triangles", flatten<int>(rig.mesh.uv_triangles), {faces, 3});
-  put_ints("triangle_part", rig.mesh.triangle_part, {faces});
-  put("identity_basis", rig.identity_basis, {rig.identity_count, vertices, 3});
-  put("expression_basis", rig.expression_basis, {rig.expression_count, vertices, 3});
-  put("pose_basis", rig.pose_basis, {9 * (joints - 1), vertices, 3});
-  put("identity_sigma", rig.identity_sigma, {rig.identity_count});
-  put("expression_low", rig.expression_low, {rig.expression_count});
-  put("expression_high", rig.expression_high, {rig.expression_count});
-  put_ints("parents", rig.parents, {joints});
-  put("joint_regressor", rig.joint_regressor, {joints, vertices});
-  put("weights", rig.weights, {vertices, joints});
-  put_landmarks(file, "mediapipe", rig.mediapipe);
-  put_landmarks(file, "multipie", rig.multipie);
-  put_ints("neck_ring", rig.neck_ring, {length(rig.neck_ring.size())});
-  write_safetensors(path, file);
+  write_safetensors(path, rig_tensors(rig));
+}
+
+int64_t rig_file_bytes(const Rig& rig) {
+  size_t bytes = 0;
+  for (const auto& [name, tensor] : rig_tensors(rig).tensors) bytes += tensor.bytes.size();
+  return length(bytes);
 }
 
 Rig load_rig(const Path& path, const Path& models) {

@@ -8,6 +8,8 @@ namespace effigy {
 // Our own format: everything in Rig, float32. Reading checks all of it.
 Rig read_rig(const Path& path);
 void write_rig(const Path& path, const Rig& rig);
+// Bytes of that file, but for its names.
+int64_t rig_file_bytes(const Rig& rig);
 
 // A rig from anything we know: our .safetensors (or a folder, such as an avatar's, with
 // rig.safetensors), a FLAME .pkl (rig/flame.h), a folder with ICT-FaceKit's packed file or the

@@ -11,7 +11,9 @@
 #include "effigy/base/progress.h"
 #include "effigy/image/colour.h"
 #include "effigy/image/files.h"
+#include "effigy/rig/rig_file.h"
 #include "effigy/splat/surfel_raster.h"
+#include "effigy/synth/option_range.h"
 #include "effigy/synth/truth_image.h"
 
 namespace effigy {
@@ -20,15 +22,15 @@ namespace {
 namespace fs = std::filesystem;
 constexpr int kLayerSamples = 16, kIrradianceSamples = 16;
 constexpr double kImageBytes = 0.3, kLayerBytes = 3.2;  // a pixel, about, as measured
+constexpr double kLightBytes = 9;                       // of an environment's pixel
 constexpr const char* kPlanFile = "plan.json";
 
 void check_options(const SynthBodyOptions& o) {
-  if (o.samples < 1 || o.bounces < 1)
-    throw Error("A stage capture needs at least 1 sample a pixel and 1 bounce.");
-  if (o.relight_frames < 0 || !(o.tracking_error >= 0 && o.tracking_error <= 100))
-    throw Error("--relight-frames is at least 0, and the tracking error lies in 0 .. 100.");
-  if (o.texture_size < 32 || o.texture_size > 8192)
-    throw Error("The texture size must be 32 to 8192; correct --texture-size.");
+  check_range("--spp", o.samples, 1, kMostSamples);
+  check_range("--bounces", o.bounces, 1, kMostBounces);
+  check_range("--relight-frames", o.relight_frames, 0, kMostFrames);
+  check_range("--tracking-error", o.tracking_error, 0.0, 100.0);
+  check_range("--texture-size", o.texture_size, kLeastTexels, kMostTexels);
   // Broken files show before the work begins.
   for (const std::string& file : {o.motion, o.unseen_motion})
     if (!file.empty()) read_bvh(file);
@@ -170,7 +172,11 @@ class PartialFolder {
   // Nothing stays of a capture without images.
   ~PartialFolder() {
     std::error_code ignored;
-    if (!fs::exists(work_ / "images", ignored)) fs::remove_all(work_, ignored);
+    if (!fs::exists(work_ / "images", ignored)) discard();
+  }
+  void discard() const {
+    std::error_code ignored;
+    fs::remove_all(work_, ignored);
   }
   PartialFolder(const PartialFolder&) = delete;
   PartialFolder& operator=(const PartialFolder&) = delete;
@@ -206,6 +212,7 @@ class BodyCaptureWriter {
         body_(scene_options(options, protocol_)) {
     if (options.stage.framing == StageFraming::kPerson)
       frame_cameras(body_.reach(), protocol_.stage.cameras);
+    body_.check_outside(protocol_.stage.cameras);
     trace_.samples = options.samples;
     trace_.bounces = options.bounces;
     trace_.seed = options.stage.seed;
@@ -224,14 +231,13 @@ class BodyCaptureWriter {
       for (size_t c = 0; c < capture_.cameras.size(); ++c) made += done(f, c) ? 1 : 0;
     SynthBodyResult result;
     result.kept = static_cast<int>(made);
-    Progress progress("rendering the light stage", "images", images, made);
-    for (int moment = 0; moment < protocol_.seen + protocol_.unseen; ++moment) {
-      body_.advance();
-      bool shown = false;
-      for (size_t f = static_cast<size_t>(moment); f < capture_.frames.size(); ++f)
-        if (protocol_.moment[f] == moment) render_frame(f, shown, made, progress);
+    try {
+      render(made);
+    } catch (const Error& error) {
+      // What these options can never finish does not stand in the way of corrected ones.
+      if (error.blame() == Blame::kInput) folder_.discard();
+      throw;
     }
-    progress.finish();
     finish_capture();
     result.frames = static_cast<int>(capture_.frames.size());
     result.images = static_cast<int>(images);
@@ -265,6 +271,18 @@ class BodyCaptureWriter {
       capture_.poses.push_back(body_.tracked_poses()[static_cast<size_t>(m)]);
       capture_.true_poses.push_back(body_.true_poses()[static_cast<size_t>(m)]);
     }
+  }
+
+  void render(int64_t made) {
+    const auto images = static_cast<int64_t>(capture_.frames.size() * capture_.cameras.size());
+    Progress progress("rendering the light stage", "images", images, made);
+    for (int moment = 0; moment < protocol_.seen + protocol_.unseen; ++moment) {
+      body_.advance();
+      bool shown = false;
+      for (size_t f = static_cast<size_t>(moment); f < capture_.frames.size(); ++f)
+        if (protocol_.moment[f] == moment) render_frame(f, shown, made, progress);
+    }
+    progress.finish();
   }
 
   // The image is a view's last file.
@@ -381,8 +399,14 @@ class BodyCaptureWriter {
   StageCapture capture_;
 };
 
-// Seconds a sample of a fully lit view takes on this machine.
-double probe_seconds(const SynthBodyOptions& options, const LightStage& stage) {
+// What only the body itself can tell of a capture.
+struct Probe {
+  double seconds = 0;      // that a sample of a fully lit view takes on this machine
+  int64_t rig_bytes = 0;   // of the rig's file
+  int64_t mesh_bytes = 0;  // of one array of vertices
+  int64_t pose_bytes = 0;  // of one frame's parameters and keypoints
+};
+Probe probe_body(const SynthBodyOptions& options, const LightStage& stage) {
   constexpr int kSide = 96, kSamples = 16, kMoments = 16;
   BodySceneOptions scene;
   scene.subject = options.subject;
@@ -405,7 +429,14 @@ double probe_seconds(const SynthBodyOptions& options, const LightStage& stage) {
   const auto begin = std::chrono::steady_clock::now();
   trace_image(body.scene(), view.camera, trace);
   const std::chrono::duration<double> taken = std::chrono::steady_clock::now() - begin;
-  return taken.count() / (kSide * kSide * kSamples);
+  const Rig& rig = body.rig();
+  constexpr int64_t kNumber = sizeof(float), kTransforms = 24;
+  const auto keypoints =
+      static_cast<int64_t>(body.body_keypoint_names().size() + body.face_keypoint_names().size());
+  return {taken.count() / (kSide * kSide * kSamples), rig_file_bytes(rig),
+          kNumber * static_cast<int64_t>(rig.mesh.vertices.size()),
+          kNumber * (2 * (rig.expression_count + 3 * rig.joint_count() + 3) + 3 * keypoints +
+                     kTransforms)};
 }
 
 }  // namespace
@@ -429,9 +460,14 @@ SynthBodyPlan plan_body_capture(const SynthBodyOptions& options) {
   plan.images = int64_t{plan.frames} * plan.cameras;
   plan.samples = plan.images * pixels * options.samples;
   const double all_pixels = static_cast<double>(plan.images * pixels);
-  plan.bytes = static_cast<int64_t>(all_pixels * (options.layers ? kLayerBytes : kImageBytes));
+  const Probe probe = probe_body(options, protocol.stage);
+  const int meshes = options.layers ? 3 : 2;  // tracked, true, irradiance
+  plan.bytes = static_cast<int64_t>(all_pixels * (options.layers ? kLayerBytes : kImageBytes)) +
+               probe.rig_bytes + plan.frames * (meshes * probe.mesh_bytes + probe.pose_bytes);
+  for (const auto& [path, light] : protocol.images)
+    plan.bytes += static_cast<int64_t>(kLightBytes * light.width * light.height);
   const double samples = options.samples + (options.layers ? kLayerSamples : 4);
-  plan.seconds = probe_seconds(options, protocol.stage) * all_pixels * samples;
+  plan.seconds = probe.seconds * all_pixels * samples;
   return plan;
 }
 

@@ -32,7 +32,7 @@ struct SynthBodyOptions {
 struct SynthBodyPlan {
   int cameras = 0, test_cameras = 0, lights = 0;
   int frames = 0, train = 0, held_out_lights = 0, unseen = 0, relit = 0, fully_lit = 0;
-  int64_t images = 0, samples = 0, bytes = 0;  // bytes: of the images and layers, about
+  int64_t images = 0, samples = 0, bytes = 0;  // bytes: of all files, about
   double seconds = 0;                          // on this machine, from a probe
 };
 // Renders one small view to know the time.

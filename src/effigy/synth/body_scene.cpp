@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "effigy/base/error.h"
+#include "effigy/base/log.h"
 #include "effigy/people/humanoid.h"
 #include "effigy/people/user_body.h"
 #include "effigy/synth/subsurface.h"
@@ -140,6 +141,33 @@ std::vector<Vec3f> BodyScene::reach() const {
   for (const std::array<int, 3>& cell : cells)
     points.push_back(kCell * Eigen::Map<const Vec3i>(cell.data()).cast<float>());
   return points;
+}
+
+void BodyScene::check_outside(const std::vector<StageCamera>& cameras) {
+  std::vector<float> vertices;
+  for (size_t f = 0; f < poses_.size(); ++f) {
+    pose_vertices(shape_, poses_[f], vertices);
+    const Eigen::Map<const Eigen::Matrix3Xf> points(vertices.data(), 3,
+                                                    static_cast<Eigen::Index>(vertices.size() / 3));
+    const Vec3d low = points.rowwise().minCoeff().cast<double>(),
+                high = points.rowwise().maxCoeff().cast<double>();
+    bool posed = false;
+    for (const StageCamera& camera : cameras) {
+      const Vec3d eye = camera.camera.center();
+      // Nobody is inside a body who is outside its box: most stages end here.
+      if ((eye.array() < low.array()).any() || (eye.array() > high.array()).any()) continue;
+      try {
+        if (!posed) {
+          scene_.pose(0, vertices);
+          scene_.commit();
+          posed = true;
+        }
+        scene_.check_outside(eye);
+      } catch (const Error& error) {
+        throw Error(format("Frame {}, camera {}: {}", f, camera.name, error.what()), error.blame());
+      }
+    }
+  }
 }
 
 void BodyScene::advance() {

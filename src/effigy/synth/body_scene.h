@@ -41,6 +41,10 @@ class BodyScene {
   // Where the surface comes in all frames, metres, to a centimetre; the swing of cloth left out.
   std::vector<Vec3f> reach() const;
 
+  // Throws Error naming the frame and the camera when one is inside the body. The swing of cloth is
+  // left out; trace_image sees it.
+  void check_outside(const std::vector<StageCamera>& cameras);
+
   // Goes on to the next frame: moves the cloth and poses nothing yet. Frames come in order.
   void advance();
   // The true surface of the frame, 3V: with wrinkles and swinging cloth.

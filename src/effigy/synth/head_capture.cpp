@@ -12,6 +12,7 @@
 #include "effigy/image/files.h"
 #include "effigy/image/metrics.h"
 #include "effigy/synth/head_scene.h"
+#include "effigy/synth/option_range.h"
 #include "effigy/synth/prior_image.h"
 #include "effigy/synth/tracking_error.h"
 #include "effigy/synth/truth_image.h"
@@ -28,20 +29,18 @@ struct Light {
 };
 
 void check_options(const SynthHeadOptions& o) {
-  if (o.frames < 4 || o.size < 32 || o.samples < 1 || o.bounces < 1)
-    throw Error(
-        "A synthetic capture needs at least 4 frames of 32 pixels, 1 sample a pixel and 1 "
-        "bounce.");
+  check_range("--frames", o.frames, 4, kMostFrames);
+  check_range("--size", o.size, 32, kMostPixels);
+  check_range("--fps", o.frames_per_second, 0.01, 1000.0);
+  check_range("--spp", o.samples, 1, kMostSamples);
+  check_range("--bounces", o.bounces, 1, kMostBounces);
+  check_range("--texture-size", o.texture_size, kLeastTexels, kMostTexels);
+  check_range("--distance", o.distance, 1e-3, 1000.0);
+  check_range("--noise", o.noise, 0.0, 1.0);
+  check_range("--compression", o.compression, 0, 100);
+  check_range("--tracking-error", o.tracking_error, 0.0, 100.0);
   if (o.subsurface && o.truth != HeadTruth::kPathTraced)
     throw Error("--subsurface needs path-traced truth: the other truths are of opaque surfaces.");
-  if (!(o.distance > 0) || !(o.frames_per_second > 0) || !std::isfinite(o.distance) ||
-      !std::isfinite(o.frames_per_second))
-    throw Error("A synthetic capture needs a positive distance and frame rate.");
-  if (!(o.noise >= 0 && o.noise <= 1) || o.compression < 0 || o.compression > 100 ||
-      !(o.tracking_error >= 0 && o.tracking_error <= 100))
-    throw Error(
-        "Noise lies in 0 .. 1, JPEG quality in 1 .. 100 (0: none), tracking error in 0 .. "
-        "100.");
 }
 
 // Renders the built-in head under named lights.

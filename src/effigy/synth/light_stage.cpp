@@ -5,9 +5,9 @@
 #include <numbers>
 #include <numeric>
 
-#include "effigy/base/error.h"
 #include "effigy/base/log.h"
 #include "effigy/base/random.h"
+#include "effigy/synth/option_range.h"
 
 namespace effigy {
 namespace {
@@ -17,26 +17,24 @@ constexpr double kReach = 1.1;  // metres around the dome's centre that cameras 
 constexpr double kFilled = 0.88;
 constexpr double kHeldOutCameras = 0.2, kHeldOutFrames = 0.1, kGroupPower = 0.5,
                  kSinglePower = 0.25;
-constexpr int kMostCameras = 10000, kMostLights = 100000, kMostFrames = 1000000,
-              kMostPixels = 16384;
+constexpr int kMostCameras = 10000, kMostLights = 100000;
 
 void check_options(const StageOptions& o) {
-  if (o.lights < 1 && o.light_file.empty())
-    throw Error("A light stage needs at least one light; give --lights a number from 1 on.");
-  if (o.cameras < 1 || o.cameras > kMostCameras || o.lights > kMostLights)
-    throw Error("A light stage has 1 to " + std::to_string(kMostCameras) + " cameras and 1 to " +
-                std::to_string(kMostLights) + " lights; correct --cameras or --lights.");
-  if (!(o.radius > 0.1 && o.radius < 100) || !(o.height >= 0 && o.height < 10))
-    throw Error("The radius of a light stage lies between 0.1 and 100 metres; correct --radius.");
-  if (o.width < 16 || o.height_pixels < 16 || o.width > kMostPixels ||
-      o.height_pixels > kMostPixels)
-    throw Error("Images of a light stage have 16 to 16384 pixels a side; correct --size.");
-  if (o.frames < 2 || o.frames > kMostFrames || o.unseen_frames >= o.frames)
+  if (o.light_file.empty()) {
+    if (o.lights < 1)
+      throw Error("A light stage needs at least one light; give --lights a number from 1 on.");
+    check_range("--lights", o.lights, 1, kMostLights);
+  }
+  check_range("--cameras", o.cameras, 1, kMostCameras);
+  check_range("--radius", o.radius, 0.1, 100.0);
+  check_range("the height of a light stage", o.height, 0.0, 10.0);
+  check_range("--size", o.width, 16, kMostPixels);
+  check_range("--size", o.height_pixels, 16, kMostPixels);
+  check_range("--frames", o.frames, 2, kMostFrames);
+  if (o.unseen_frames >= o.frames)
     throw Error(
-        "A stage capture has 2 to 1000000 frames, of which at least one is of the training "
-        "motion; correct --frames or --unseen-frames.");
-  if (!(o.frames_per_second >= 1 && o.frames_per_second <= 240))
-    throw Error("A stage capture has 1 to 240 frames a second; correct --fps.");
+        "At least one frame of a stage capture is of the training motion; lower --unseen-frames.");
+  check_range("--fps", o.frames_per_second, 1.0, 240.0);
 }
 
 // `count` of `all` numbers, evenly spread.
