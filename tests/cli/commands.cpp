@@ -375,6 +375,8 @@ TEST(Commands, SynthRefusesBadInputInOneSentence) {
   }
   fails("head --frames 0 -o " + (scratch / "x").string(), "--frames");
   fails("head --frames -3 -o " + (scratch / "x").string(), "--frames");
+  fails("head --head me.glb --subject 2 -o " + (scratch / "x").string(), "--subject");
+  fails(head + "--head " + (scratch / "me.glb").string(), "me.glb");
   fails("scene x.json -o x.exr --spp 0", "--spp");
   fails(head + "--truth guess", "guess");
   fails("", "subcommand");

@@ -15,6 +15,7 @@
 #include "effigy/synth/tracking_error.h"
 #include "effigy/synth/truth_image.h"
 #include "support.h"
+#include "tiny_head_gltf.h"
 
 namespace effigy {
 namespace {
@@ -337,6 +338,73 @@ TEST(SynthHead, PerformanceIsSmoothAndLively) {
   EXPECT_LT(most_yaw, 0.7f);
   EXPECT_GT(most_jaw, 0.2f);
   EXPECT_GT(most_blink, 0.6f);
+}
+
+// The user's own head, cut from a body: framed, facing the camera, talking, with its truth.
+TEST(SynthHead, FilmsTheUsersOwn) {
+  const test::ScratchFolder scratch;
+  test::TinyHeadGltf({}).write(scratch.path(), "me.gltf");
+  SynthHeadOptions options = tiny();
+  options.head = (scratch / "me.gltf").string();
+  options.consent = "my own";
+  options.frames_per_second = 4;
+  synth_head_capture(options, scratch / "capture");
+  const Capture capture = read_capture(scratch / "capture");
+  EXPECT_EQ(capture.rig.kind, "user");
+  EXPECT_EQ(capture.consent, "my own");
+  EXPECT_EQ(capture.licence, "the user's own");
+  EXPECT_TRUE(test::contains(capture.source, "me.gltf"));
+  const auto truth = read_truth(capture);
+  ASSERT_TRUE(truth.has_value());
+  EXPECT_TRUE(truth->keypoints.empty());
+  const size_t jaw = static_cast<size_t>(capture.rig.expression("jawOpen"));
+  float widest = 0;
+  for (int f = 0; f < 4; ++f) {
+    widest = std::max(widest, capture.poses[static_cast<size_t>(f)].expression[jaw]);
+    const Image8 image = capture.load_image(f), mask = capture.load_mask(f);
+    double covered = 0, red = 0, green = 0;
+    for (int y = 0; y < 64; ++y)
+      for (int x = 0; x < 64; ++x) {
+        covered += mask.at(x, y)[0] / 255.0;
+        (y < 32 ? red : green) += image.at(x, y)[0] - image.at(x, y)[1];
+        const bool rim = x == 0 || y == 0 || x == 63 || y == 63;
+        if (rim) {
+          EXPECT_EQ(mask.at(x, y)[0], 0);
+        }
+      }
+    EXPECT_GT(covered / (64 * 64), 0.35);  // a ball that fills most of the picture's height
+    EXPECT_GT(red, 3000);                  // above
+    EXPECT_LT(green, -3000);               // below
+  }
+  EXPECT_GT(widest, 0.02f);
+  options.subsurface = true;
+  EXPECT_TRUE(test::contains(test::error_of([&] { synth_head_capture(options, scratch / "x"); }),
+                             "--subsurface"));
+  EXPECT_FALSE(std::filesystem::exists(scratch / "x"));
+}
+
+// What a rig has not as a shape, its joints do, and the other way round.
+TEST(SynthHead, PerformancesUseWhatThereIs) {
+  Rig rig;
+  rig.joint_names = {"root", "neck", "jaw"};
+  rig.parents = {-1, 0, 1};
+  rig.expression_names = {"eyeBlink", "eyeLookOut_L", "mouthSmile_L", "mouthSmile"};
+  rig.expression_count = 4;
+  float jaw = 0, blink = 0, gaze = 0, smile = 0, both = 0;
+  for (int i = 0; i < 200; ++i) {
+    const RigPose pose = performance_pose(rig, i / 30.0, 1);
+    jaw = std::max(jaw, pose.joint_rotation[6]);
+    blink = std::max(blink, pose.expression[0]);
+    gaze = std::max(gaze, pose.expression[1]);
+    smile = std::max(smile, pose.expression[2]);
+    both = std::max(both, pose.expression[3]);
+  }
+  EXPECT_GT(jaw, 0.08f);
+  EXPECT_LT(jaw, 0.35f);
+  EXPECT_GT(blink, 0.6f);
+  EXPECT_GT(gaze, 0.1f);
+  EXPECT_GT(smile, 0.2f);
+  EXPECT_EQ(both, 0);  // the side's own shape stands for it
 }
 
 TEST(SynthHead, RefusesNonsense) {

@@ -31,6 +31,11 @@ void add_head(CLI::App& app, HeadCommand& c) {
   app.add_option("-o,--output", c.output, "Capture folder")->required();
   app.add_option("--subject", o.subject, "Who: 1 to 5 are the standard subjects (default 1)")
       ->check(at_least(0));
+  app.add_option("--head", o.head,
+                 "Your own instead: a glTF file (.gltf, .glb) of a head or a body, with textures "
+                 "and perhaps morph targets and a skeleton, or a MakeHuman folder")
+      ->excludes("--subject");
+  app.add_option("--consent", o.consent, "What the person agreed to, if it is a real one");
   app.add_option("--frames", o.frames, "Frames (default 120)");
   app.add_option("--size", o.size, "Pixels a side (default 512)");
   app.add_option("--fps", o.frames_per_second, "Frames a second (default 30)");
@@ -43,8 +48,9 @@ void add_head(CLI::App& app, HeadCommand& c) {
       ->check(at_least(1));
   app.add_flag("--no-relight", c.no_relight, "No frames under other lights");
   app.add_option("--spp", o.samples, "Samples a pixel (default 64; powers of two are best)");
-  app.add_flag("--subsurface", o.subsurface,
-               "Light spreads below the skin and through the ears (path-traced truth)");
+  app.add_flag(
+      "--subsurface", o.subsurface,
+      "Light spreads below the skin and through the ears (built-in head, path-traced truth)");
   app.add_option("--bounces", o.bounces, "Reflections of a light path (default 8)");
   app.add_option("--truth", c.truth,
                  "path-traced (default), unshadowed (no shadows, no bounces), split-sum");
@@ -146,14 +152,13 @@ int synth_head(HeadCommand& c, const CommonOptions& common) {
 
 int run_synth(int argc, char** argv) {
   CLI::App app(
-      "Makes captures with known answers by path tracing: a talking built-in head under any "
-      "light,\n"
-      "its held-out frames under other lights, or a clothed built-in body in a light stage, with "
-      "the\n"
-      "truth of every layer (docs/synth.md). An interrupted body capture goes on when the command "
-      "is\n"
-      "given again.\n\n"
+      "Makes captures with known answers by path tracing: a talking head under any light, its\n"
+      "held-out frames under other lights, or a clothed body in a light stage, with the truth of\n"
+      "every layer (docs/synth.md). Built-in people, or your own. An interrupted body capture goes "
+      "on\n"
+      "when the command is given again.\n\n"
       "example: effigy synth head -o capture --frames 64 --size 256 --light sunset\n"
+      "example: effigy synth head -o capture --head me.glb\n"
       "example: effigy synth body -o stage --stage tiny",
       "synth");
   app.require_subcommand(1);

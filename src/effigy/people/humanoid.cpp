@@ -54,6 +54,22 @@ const std::vector<Names>& side_names() {
   return table;
 }
 
+const std::vector<Names>& face_names() {
+  static const std::vector<Names> table = {
+      {"jaw",
+       {"jaw", "jawmaster", "jawroot", "jawbone", "jawjoint", "lowerjaw", "mandible", "cjaw",
+        "facialcjaw", "jadjcjaw"}}};
+  return table;
+}
+
+const std::vector<Names>& eye_names() {
+  static const std::vector<Names> table = {
+      {"eye",
+       {"{L}eye", "eye{L}", "{L}eyeball", "eyeball{L}", "{L}eyejoint", "eyejoint{L}",
+        "jadj{L}faceeye", "facial{L}eye"}}};
+  return table;
+}
+
 class Finder {
  public:
   Finder(const std::vector<std::string>& names, const std::vector<int>& parents)
@@ -64,20 +80,32 @@ class Finder {
   }
 
   std::map<std::string, int> run() {
-    for (const Names& names : middle_names())
+    find_middle(middle_names());
+    find_sides(side_names());
+    add_trunk();
+    return std::move(found_);
+  }
+
+  std::map<std::string, int> run_face() {
+    find_middle(face_names());
+    find_sides(eye_names());
+    return std::move(found_);
+  }
+
+ private:
+  void find_middle(const std::vector<Names>& table) {
+    for (const Names& names : table)
       for (const std::string usual : names.usual) take(names.joint, usual);
-    for (const Names& names : side_names())
+  }
+  void find_sides(const std::vector<Names>& table) {
+    for (const Names& names : table)
       for (const auto& [side, spellings] :
            {std::pair{"_left", std::pair{"left", "l"}}, {"_right", {"right", "r"}}})
         for (const std::string usual : names.usual)
           for (const char* spelling : {spellings.first, spellings.second})
             take(names.joint + std::string(side),
                  std::string(usual).replace(usual.find("{L}"), 3, spelling));
-    add_trunk();
-    return std::move(found_);
   }
-
- private:
   void take(const std::string& joint, const std::string& name) {
     const auto at = by_name_.find(name);
     if (at != by_name_.end()) found_.emplace(joint, at->second);
@@ -118,6 +146,11 @@ class Finder {
 std::map<std::string, int> humanoid_joints(const std::vector<std::string>& names,
                                            const std::vector<int>& parents) {
   return Finder(names, parents).run();
+}
+
+std::map<std::string, int> face_joints(const std::vector<std::string>& names) {
+  const std::vector<int> no_parents;
+  return Finder(names, no_parents).run_face();
 }
 
 }  // namespace effigy

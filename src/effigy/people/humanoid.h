@@ -16,4 +16,7 @@ namespace effigy {
 std::map<std::string, int> humanoid_joints(const std::vector<std::string>& names,
                                            const std::vector<int>& parents);
 
+// The same for the face: "jaw", "eye_left", "eye_right".
+std::map<std::string, int> face_joints(const std::vector<std::string>& names);
+
 }  // namespace effigy

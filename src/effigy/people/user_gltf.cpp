@@ -15,11 +15,13 @@ namespace effigy {
 namespace {
 
 using people::UserJoint;
+using people::UserKind;
 using people::UserMaterial;
 using people::UserSource;
 
 constexpr size_t kMostNodes = 20'000;
 constexpr size_t kMostElements = 20'000'000;
+constexpr size_t kMostShapes = 1000;
 
 // Pictures are decoded by our own reader.
 bool load_picture(tinygltf::Image* image, const int index, std::string* error, std::string*, int,
@@ -39,7 +41,8 @@ bool load_picture(tinygltf::Image* image, const int index, std::string* error, s
 
 class GltfReader {
  public:
-  explicit GltfReader(const Path& path) : name_(path.string()) {
+  GltfReader(const Path& path, UserKind kind)
+      : name_(path.string()), head_(kind == UserKind::kHead) {
     const std::vector<uint8_t> bytes = read_file(path, uint64_t{1} << 30);
     tinygltf::TinyGLTF loader;
     loader.SetImageLoader(load_picture, &pictures_);
@@ -61,6 +64,9 @@ class GltfReader {
       std::replace(error.begin(), error.end(), '\n', ' ');
       fail("is not a sound glTF file (" + error.substr(0, 200) + "); export it again");
     }
+    for (const std::string& extension : model_.extensionsRequired)
+      if (extension != "KHR_mesh_quantization" && extension != "KHR_materials_unlit")
+        fail("needs the glTF extension " + extension + "; export it again without");
   }
 
   UserSource read() {
@@ -70,7 +76,9 @@ class GltfReader {
     for (const int node : order_)
       if (model_.nodes[static_cast<size_t>(node)].mesh >= 0) add_mesh(node);
     if (source_.mesh.triangles.empty()) fail("has no triangle mesh in its scene");
-    if (!skinned_) fail("has no skinned mesh; export it with its armature");
+    if (!skinned_ && !head_) fail("has no skinned mesh; export it with its armature");
+    for (people::UserShape& shape : source_.shapes)
+      shape.offsets.resize(source_.mesh.vertices.size());
     source_.file = name_;
     return std::move(source_);
   }
@@ -88,37 +96,77 @@ class GltfReader {
     return list[static_cast<size_t>(index)];
   }
 
-  // One accessor as floats, `width` per element.
-  std::vector<float> numbers(int index, int type, const char* what) const {
-    const tinygltf::Accessor& a = item(model_.accessors, index, "accessor");
-    const int width = type == TINYGLTF_TYPE_MAT4 ? 16 : type == TINYGLTF_TYPE_SCALAR ? 1 : type;
-    if (a.type != type || a.sparse.isSparse)
-      fail(std::string("has ") + what +
-           " of an unexpected type; export it again without compression");
-    const tinygltf::BufferView& view = item(model_.bufferViews, a.bufferView, "buffer view");
+  // `count` elements of `width` numbers in a buffer view, as floats.
+  std::vector<float> stored(int view_number, size_t offset, int component_type, bool normalized,
+                            size_t count, int width, int stride, const char* what) const {
+    const tinygltf::BufferView& view = item(model_.bufferViews, view_number, "buffer view");
     const tinygltf::Buffer& buffer = item(model_.buffers, view.buffer, "buffer");
-    const int bytes = tinygltf::GetComponentSizeInBytes(static_cast<uint32_t>(a.componentType));
-    const int stride = a.ByteStride(view);
-    if (bytes <= 0 || stride < bytes * width || stride > 4096 || a.count > kMostElements)
+    const int bytes = tinygltf::GetComponentSizeInBytes(static_cast<uint32_t>(component_type));
+    if (bytes <= 0 || stride < bytes * width || stride > 4096 || count > kMostElements)
       fail(std::string("has ") + what + " with an impossible layout");
-    const uint64_t begin = static_cast<uint64_t>(view.byteOffset) + a.byteOffset;
-    const uint64_t need = a.count == 0 ? 0
-                                       : (a.count - 1) * static_cast<uint64_t>(stride) +
-                                             static_cast<uint64_t>(bytes * width);
-    if (view.byteOffset > buffer.data.size() || a.byteOffset > buffer.data.size() ||
-        view.byteLength > buffer.data.size() - view.byteOffset ||
-        a.byteOffset + need > view.byteLength || begin + need > buffer.data.size())
+    const uint64_t begin = static_cast<uint64_t>(view.byteOffset) + offset;
+    const uint64_t need = count == 0 ? 0
+                                     : (count - 1) * static_cast<uint64_t>(stride) +
+                                           static_cast<uint64_t>(bytes * width);
+    if (view.byteOffset > buffer.data.size() || offset > buffer.data.size() ||
+        view.byteLength > buffer.data.size() - view.byteOffset || offset + need > view.byteLength ||
+        begin + need > buffer.data.size())
       fail(std::string("has ") + what + " that reach beyond their buffer");
     std::vector<float> out;
-    out.reserve(a.count * static_cast<size_t>(width));
-    for (size_t i = 0; i < a.count; ++i)
+    out.reserve(count * static_cast<size_t>(width));
+    for (size_t i = 0; i < count; ++i)
       for (int c = 0; c < width; ++c) {
         const uint8_t* p = buffer.data.data() + begin + i * static_cast<size_t>(stride) +
                            static_cast<size_t>(c * bytes);
-        out.push_back(component(p, a.componentType, a.normalized, what));
+        out.push_back(component(p, component_type, normalized, what));
         if (!std::isfinite(out.back())) fail(std::string("has ") + what + " that are not finite");
       }
     return out;
+  }
+
+  // One accessor as floats.
+  std::vector<float> numbers(int index, int type, const char* what) const {
+    const tinygltf::Accessor& a = item(model_.accessors, index, "accessor");
+    const int width = type == TINYGLTF_TYPE_MAT4 ? 16 : type == TINYGLTF_TYPE_SCALAR ? 1 : type;
+    if (a.type != type)
+      fail(std::string("has ") + what +
+           " of an unexpected type; export it again without compression");
+    std::vector<float> out;
+    if (a.bufferView >= 0 || !a.sparse.isSparse) {
+      const tinygltf::BufferView& view = item(model_.bufferViews, a.bufferView, "buffer view");
+      out = stored(a.bufferView, a.byteOffset, a.componentType, a.normalized, a.count, width,
+                   a.ByteStride(view), what);
+    } else if (a.count > kMostElements) {
+      fail(std::string("has ") + what + " with an impossible layout");
+    } else {
+      out.assign(a.count * static_cast<size_t>(width), 0.0f);
+    }
+    if (a.sparse.isSparse) replace_sparse(a, width, what, out);
+    return out;
+  }
+  // Sparse accessors say which elements differ.
+  void replace_sparse(const tinygltf::Accessor& a, int width, const char* what,
+                      std::vector<float>& out) const {
+    const auto& sparse = a.sparse;
+    if (sparse.count < 0) fail(std::string("has ") + what + " with an impossible layout");
+    const auto count = static_cast<size_t>(sparse.count);
+    const auto size_of = [](int component_type) {
+      return tinygltf::GetComponentSizeInBytes(static_cast<uint32_t>(component_type));
+    };
+    const std::vector<float> places = stored(
+        sparse.indices.bufferView, static_cast<size_t>(std::max(sparse.indices.byteOffset, 0)),
+        sparse.indices.componentType, false, count, 1, size_of(sparse.indices.componentType), what);
+    const std::vector<float> values =
+        stored(sparse.values.bufferView, static_cast<size_t>(std::max(sparse.values.byteOffset, 0)),
+               a.componentType, a.normalized, count, width, width * size_of(a.componentType), what);
+    for (size_t i = 0; i < count; ++i) {
+      const auto place = static_cast<size_t>(places[i]);
+      if (!(places[i] >= 0) || place >= a.count)
+        fail(std::string("has ") + what + " at a place that does not exist");
+      std::copy_n(values.begin() + static_cast<std::ptrdiff_t>(i * static_cast<size_t>(width)),
+                  width,
+                  out.begin() + static_cast<std::ptrdiff_t>(place * static_cast<size_t>(width)));
+    }
   }
   float component(const uint8_t* p, int type, bool normalized, const char* what) const {
     const auto get = [p](auto value) {
@@ -128,6 +176,10 @@ class GltfReader {
     switch (type) {
       case TINYGLTF_COMPONENT_TYPE_FLOAT:
         return get(float{});
+      case TINYGLTF_COMPONENT_TYPE_BYTE:
+        return normalized ? std::max(get(int8_t{}) / 127.0f, -1.0f) : get(int8_t{});
+      case TINYGLTF_COMPONENT_TYPE_SHORT:
+        return normalized ? std::max(get(int16_t{}) / 32767.0f, -1.0f) : get(int16_t{});
       case TINYGLTF_COMPONENT_TYPE_UNSIGNED_BYTE:
         return get(uint8_t{}) / (normalized ? 255.0f : 1.0f);
       case TINYGLTF_COMPONENT_TYPE_UNSIGNED_SHORT:
@@ -209,6 +261,15 @@ class GltfReader {
     return -1;
   }
 
+  Image8 picture(int texture) const {
+    if (texture < 0) return {};
+    const tinygltf::Texture& t = item(model_.textures, texture, "texture");
+    item(model_.images, t.source, "image");
+    const auto found = pictures_.find(t.source);
+    if (found == pictures_.end()) fail("has a texture without a picture");
+    return found->second;
+  }
+
   void collect_materials() {
     for (const tinygltf::Material& m : model_.materials) {
       UserMaterial out;
@@ -218,16 +279,16 @@ class GltfReader {
         out.colour[static_cast<int>(c)] =
             std::clamp(static_cast<float>(pbr.baseColorFactor[c]), 0.0f, 1.0f);
       out.roughness = std::clamp(static_cast<float>(pbr.roughnessFactor), 0.05f, 1.0f);
-      if (pbr.baseColorTexture.index >= 0) {
-        const tinygltf::Texture& t = item(model_.textures, pbr.baseColorTexture.index, "texture");
-        item(model_.images, t.source, "image");
-        const auto picture = pictures_.find(t.source);
-        if (picture == pictures_.end()) fail("has a texture without a picture");
-        out.texture = picture->second;
-      }
+      out.opaque = m.alphaMode == "OPAQUE" || m.alphaMode.empty();
+      out.texture = picture(pbr.baseColorTexture.index);
+      out.roughness_texture = picture(pbr.metallicRoughnessTexture.index);
+      out.normal_texture = picture(m.normalTexture.index);
+      out.normal_scale = std::clamp(static_cast<float>(m.normalTexture.scale), -8.0f, 8.0f);
       source_.materials.push_back(std::move(out));
     }
-    source_.materials.push_back({"plain", Vec4f(0.5f, 0.5f, 0.5f, 1), 0.6f, {}});
+    source_.materials.emplace_back();
+    source_.materials.back().name = "plain";
+    source_.materials.back().colour = Vec4f(0.5f, 0.5f, 0.5f, 1);
     for (const UserMaterial& m : source_.materials) source_.mesh.parts.push_back(m.name);
   }
 
@@ -236,8 +297,46 @@ class GltfReader {
     const tinygltf::Mesh& mesh = item(model_.meshes, node.mesh, "mesh");
     for (const tinygltf::Primitive& p : mesh.primitives) {
       if (p.mode != TINYGLTF_MODE_TRIANGLES && p.mode != -1) continue;
+      turns_.clear();
       add_primitive(node_number, node, mesh.name, p);
+      if (head_) add_shapes(mesh, p);
     }
+  }
+
+  // The morph targets of the primitive that was added last; targets of one name are one shape.
+  void add_shapes(const tinygltf::Mesh& mesh, const tinygltf::Primitive& p) {
+    const size_t first = source_.mesh.vertices.size() / 3 - turns_.size();
+    for (size_t k = 0; k < p.targets.size(); ++k) {
+      const auto found = p.targets[k].find("POSITION");
+      if (found == p.targets[k].end()) continue;
+      const std::vector<float> offsets =
+          numbers(found->second, TINYGLTF_TYPE_VEC3, "morph targets");
+      if (offsets.size() != 3 * turns_.size())
+        fail("has a morph target with more or fewer offsets than positions");
+      std::vector<float>& all = shape(target_name(mesh, k)).offsets;
+      all.resize(source_.mesh.vertices.size());
+      for (size_t v = 0; v < turns_.size(); ++v) {
+        const Vec3d moved = turns_[v] * Vec3f(&offsets[3 * v]).cast<double>();
+        for (int c = 0; c < 3; ++c)
+          all[3 * (first + v) + static_cast<size_t>(c)] += static_cast<float>(moved[c]);
+      }
+    }
+  }
+  people::UserShape& shape(const std::string& name) {
+    for (people::UserShape& known : source_.shapes)
+      if (known.name == name) return known;
+    if (source_.shapes.size() >= kMostShapes) fail("has more than 1000 morph targets");
+    source_.shapes.push_back({name, {}});
+    return source_.shapes.back();
+  }
+  // Exporters keep the names in the mesh's extras.
+  static std::string target_name(const tinygltf::Mesh& mesh, size_t k) {
+    if (mesh.extras.IsObject() && mesh.extras.Has("targetNames")) {
+      const tinygltf::Value& names = mesh.extras.Get("targetNames");
+      if (names.IsArray() && k < names.ArrayLen() && names.Get(static_cast<int>(k)).IsString())
+        return names.Get(static_cast<int>(k)).Get<std::string>();
+    }
+    return "target_" + std::to_string(k);
   }
 
   // Skinning matrices at the rest pose, and the joints' numbers.
@@ -288,10 +387,11 @@ class GltfReader {
     const int first = source_.mesh.vertex_count();
     for (size_t v = 0; v < count; ++v) {
       const Eigen::Vector4d q(positions[3 * v], positions[3 * v + 1], positions[3 * v + 2], 1);
-      Eigen::Vector4d posed = Eigen::Vector4d::Zero();
+      Mat4d place = world_[static_cast<size_t>(node_number)];
       std::vector<std::pair<int, float>> row;
       if (skin != nullptr) {
         double sum = 0;
+        Mat4d blend = Mat4d::Zero();
         for (size_t c = 0; c < 4; ++c) {
           const float w = weights[4 * v + c];
           if (w == 0) continue;
@@ -299,17 +399,17 @@ class GltfReader {
           if (joints[4 * v + c] < 0 || j >= skin->joints.size())
             fail("has a weight for a joint that does not exist");
           if (w < 0) fail("has a negative skinning weight");
-          posed += static_cast<double>(w) * (matrices[j] * q);
+          blend += static_cast<double>(w) * matrices[j];
           sum += static_cast<double>(w);
           row.emplace_back(joint_of_node_[static_cast<size_t>(skin->joints[j])], w);
         }
-        posed = sum > 1e-6 ? Eigen::Vector4d(posed / sum)
-                           : Eigen::Vector4d(world_[static_cast<size_t>(node_number)] * q);
+        if (sum > 1e-6) place = blend / sum;
       } else {
-        posed = world_[static_cast<size_t>(node_number)] * q;
         const int joint = joint_above(node_number);
         if (joint >= 0) row.emplace_back(joint, 1.0f);
       }
+      const Eigen::Vector4d posed = place * q;
+      turns_.push_back(place.topLeftCorner<3, 3>());
       for (int c = 0; c < 3; ++c) source_.mesh.vertices.push_back(static_cast<float>(posed[c]));
       // glTF counts v from the top.
       source_.mesh.uvs.emplace_back(uvs[2 * v], 1 - uvs[2 * v + 1]);
@@ -344,13 +444,19 @@ class GltfReader {
   UserSource source_;
   std::vector<Mat4d> world_;
   std::vector<int> parent_, order_, joint_of_node_;
-  bool skinned_ = false;
+  std::vector<Mat3d> turns_;  // of each vertex of the last primitive: from its space to the world
+  bool head_, skinned_ = false;
 };
 
 }  // namespace
 
+people::UserSource people::read_gltf(const Path& path, UserKind kind) {
+  return GltfReader(path, kind).read();
+}
+
 UserBody read_gltf_body(const Path& path, int texture_size) {
-  return people::finish_user_body(GltfReader(path).read(), "gltf", "the user's own", texture_size);
+  return people::finish_user_body(people::read_gltf(path, people::UserKind::kBody), "gltf",
+                                  "the user's own", texture_size);
 }
 
 }  // namespace effigy

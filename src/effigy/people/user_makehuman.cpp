@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
+#include <sstream>
 
 #include "effigy/base/error.h"
 #include "effigy/base/json.h"
@@ -61,19 +62,53 @@ void add_bones(const Json& skeleton, const Mesh& mesh, const std::string& file,
   }
 }
 
-// The body's faces and the vertices they use; old number of each vertex in `kept`.
-void keep_body(const Mesh& whole, const std::string& file, people::UserSource& source,
-               std::vector<int>& kept) {
-  int body = -1;
-  for (size_t p = 0; p < whole.parts.size(); ++p)
-    if (whole.parts[p] == "body") body = static_cast<int>(p);
-  if (body < 0) throw Error(file + ": has no group 'body'; use MakeHuman's own base.obj.");
+struct Piece {
+  const char *group, *part;
+  Vec4f colour;  // where there is no picture
+  float roughness;
+};
+const Vec4f kSkin(0.50f, 0.315f, 0.230f, 1), kEye(0.55f, 0.53f, 0.50f, 1),
+    kTeeth(0.55f, 0.50f, 0.42f, 1), kTongue(0.42f, 0.16f, 0.14f, 1);
+// What is filmed of the mesh; the rest helps to fit clothes. A body's mouth and eyes stay shut.
+std::vector<Piece> pieces_of(people::UserKind kind) {
+  if (kind == people::UserKind::kBody) return {{"body", "skin", kSkin, 0.5f}};
+  return {{"body", "skin", kSkin, 0.5f},
+          {"helper-l-eye", "eye_left", kEye, 0.15f},
+          {"helper-r-eye", "eye_right", kEye, 0.15f},
+          {"helper-upper-teeth", "teeth", kTeeth, 0.3f},
+          {"helper-lower-teeth", "teeth", kTeeth, 0.3f},
+          {"helper-tongue", "tongue", kTongue, 0.4f}};
+}
+
+// The faces of the pieces and the vertices they use; old number of each vertex in `kept`.
+void keep_pieces(const Mesh& whole, const std::vector<Piece>& pieces, const std::string& file,
+                 people::UserSource& source, std::vector<int>& kept) {
   if (whole.uv_triangles.empty())
     throw Error(file + ": the mesh has no UVs; use MakeHuman's own base.obj.");
+  std::map<std::string, int> material;
+  std::vector<int> material_of(whole.parts.size(), -1);
+  for (const Piece& piece : pieces) {
+    const auto [found, fresh] =
+        material.emplace(piece.part, static_cast<int>(source.materials.size()));
+    if (fresh) {
+      people::UserMaterial m;
+      m.name = piece.part;
+      m.colour = piece.colour;
+      m.roughness = piece.roughness;
+      m.opaque = true;
+      source.materials.push_back(std::move(m));
+      source.mesh.parts.emplace_back(piece.part);
+    }
+    for (size_t p = 0; p < whole.parts.size(); ++p)
+      if (whole.parts[p] == piece.group) material_of[p] = found->second;
+  }
+  if (std::find(material_of.begin(), material_of.end(), 0) == material_of.end())
+    throw Error(file + ": has no group 'body'; use MakeHuman's own base.obj.");
   std::vector<int> number(static_cast<size_t>(whole.vertex_count()), -1),
       uv_number(whole.uvs.size(), -1);
   for (size_t f = 0; f < whole.triangles.size(); ++f) {
-    if (whole.triangle_part[f] != body) continue;
+    const int part = material_of[static_cast<size_t>(whole.triangle_part[f])];
+    if (part < 0) continue;
     Vec3i t, u;
     for (int k = 0; k < 3; ++k) {
       int& v = number[static_cast<size_t>(whole.triangles[f][k])];
@@ -94,21 +129,58 @@ void keep_body(const Mesh& whole, const std::string& file, people::UserSource& s
     }
     source.mesh.triangles.push_back(t);
     source.mesh.uv_triangles.push_back(u);
-    source.mesh.triangle_part.push_back(0);
+    source.mesh.triangle_part.push_back(part);
   }
-  source.mesh.parts = {"skin"};
+}
+
+// The expression targets: a line a vertex, its number and offset in decimetres.
+void add_shapes(const Path& folder, const std::vector<int>& kept, int vertices,
+                people::UserSource& source) {
+  if (!std::filesystem::is_directory(folder)) return;
+  std::vector<Path> files;
+  for (const auto& entry : std::filesystem::directory_iterator(folder))
+    if (entry.path().extension() == ".target") files.push_back(entry.path());
+  std::sort(files.begin(), files.end());
+  for (const Path& file : files) {
+    std::vector<Vec3f> offset(static_cast<size_t>(vertices), Vec3f::Zero());
+    std::istringstream text(read_text(file));
+    std::string line;
+    while (std::getline(text, line)) {
+      if (line.empty() || line[0] == '#') continue;
+      std::istringstream numbers(line);
+      int64_t v = -1;
+      Vec3f d;
+      if (!(numbers >> v >> d[0] >> d[1] >> d[2]) || v < 0 || v >= vertices || !d.allFinite())
+        throw Error(file.string() + ": the line '" + line.substr(0, 60) +
+                    "' is no vertex of base.obj and its offset; use MakeHuman's own file.");
+      offset[static_cast<size_t>(v)] = static_cast<float>(kMetres) * d;
+    }
+    people::UserShape shape{file.stem().string(), {}};
+    for (const int v : kept)
+      for (int c = 0; c < 3; ++c) shape.offsets.push_back(offset[static_cast<size_t>(v)][c]);
+    source.shapes.push_back(std::move(shape));
+  }
+}
+
+// The skin that lies in the folder itself; empty: none.
+Path skin_in(const Path& folder) {
+  std::vector<Path> found;
+  for (const auto& entry : std::filesystem::directory_iterator(folder))
+    if (entry.path().filename().string().find("diffuse") != std::string::npos)
+      found.push_back(entry.path());
+  return found.empty() ? Path() : *std::min_element(found.begin(), found.end());
 }
 
 }  // namespace
 
-UserBody read_makehuman_body(const Path& folder, const Path& skin, int texture_size) {
+people::UserSource people::read_makehuman(const Path& folder, const Path& skin, UserKind kind) {
   const Path obj = folder / "3dobjs" / "base.obj", skeleton = folder / "rigs" / "default.mhskel";
   const Path weights = folder / "rigs" / "default_weights.mhw";
   const Mesh whole = read_obj(obj);
   people::UserSource source;
   source.file = folder.string();
   std::vector<int> kept;
-  keep_body(whole, obj.string(), source, kept);
+  keep_pieces(whole, pieces_of(kind), obj.string(), source, kept);
   std::map<std::string, int> number;
   add_bones(read_json(skeleton), whole, skeleton.string(), source, number);
   const Json file = read_json(weights);
@@ -130,15 +202,19 @@ UserBody read_makehuman_body(const Path& folder, const Path& skin, int texture_s
     }
   }
   for (const int v : kept) source.weights.push_back(std::move(rows[static_cast<size_t>(v)]));
-  people::UserMaterial material;
-  material.name = "skin";
-  material.roughness = 0.5f;
-  if (skin.empty())
-    material.colour = Vec4f(0.50f, 0.315f, 0.230f, 1);
-  else
-    material.texture = read_image8(skin);
-  source.materials.push_back(std::move(material));
-  return people::finish_user_body(std::move(source), "makehuman", "CC0-1.0", texture_size);
+  const Path picture = skin.empty() ? skin_in(folder) : skin;
+  if (!picture.empty()) {
+    source.materials[0].texture = read_image8(picture);
+    source.materials[0].colour = Vec4f::Ones();
+  }
+  if (kind == UserKind::kHead)
+    add_shapes(folder / "targets/expression/units/caucasian", kept, whole.vertex_count(), source);
+  return source;
+}
+
+UserBody read_makehuman_body(const Path& folder, const Path& skin, int texture_size) {
+  return people::finish_user_body(people::read_makehuman(folder, skin, people::UserKind::kBody),
+                                  "makehuman", "CC0-1.0", texture_size);
 }
 
 }  // namespace effigy

@@ -9,6 +9,7 @@
 #include "effigy/people/user_body.h"
 #include "effigy/synth/subsurface.h"
 #include "effigy/synth/tracking_error.h"
+#include "effigy/synth/user_material.h"
 
 namespace effigy {
 namespace {
@@ -73,12 +74,8 @@ void BodyScene::load_users_own() {
     throw Error(name + ": the body is " + std::to_string(height) +
                 " metres tall; scale it to a person's size (glTF counts in metres, y up).");
   place_ = {-0.5f * (low.x() + high.x()), -low.y(), -0.5f * (low.z() + high.z())};
-  SurfaceMaterial material;
-  material.albedo = std::move(own.albedo);
-  material.roughness = std::move(own.roughness);
-  material.opacity = std::move(own.alpha);
-  material.specular = Image(1, 1, 1, 0.04f);
-  scene_.add_mesh(rig_.mesh, scene_.add_material(material, name), name);
+  const int material = scene_.add_material(user_material(std::move(own)), name);
+  scene_.add_mesh(rig_.mesh, material, name);
 }
 
 std::vector<RigPose> BodyScene::motion_of(const std::string& file, bool unseen, int frames) const {

@@ -41,9 +41,13 @@ void check_options(const SynthHeadOptions& o) {
   check_range("--tracking-error", o.tracking_error, 0.0, 100.0);
   if (o.subsurface && o.truth != HeadTruth::kPathTraced)
     throw Error("--subsurface needs path-traced truth: the other truths are of opaque surfaces.");
+  if (o.subsurface && !o.head.empty())
+    throw Error(
+        "--subsurface is of the built-in head: how far light spreads in your own head's materials "
+        "is not in its file; leave it out.");
 }
 
-// Renders the built-in head under named lights.
+// Renders the head under named lights.
 class HeadStudio {
  public:
   explicit HeadStudio(const SynthHeadOptions& options) : options_(options), head_(options) {
@@ -106,7 +110,7 @@ class HeadCaptureWriter {
     const auto relit = relit_frames();
     const auto images =
         static_cast<int64_t>(capture_.frames.size() + relit.size() * options_.relight.size());
-    Progress progress("rendering the built-in head", "images", images);
+    Progress progress("rendering the head", "images", images);
     SynthHeadResult result;
     for (int f = 0; f < options_.frames; ++f) {
       studio_.head().pose(truth_.poses[f], f);
@@ -130,9 +134,13 @@ class HeadCaptureWriter {
  private:
   void start_capture() {
     HeadScene& head = studio_.head();
-    capture_.source = "the built-in head, subject " + std::to_string(options_.subject);
-    capture_.licence = "Apache-2.0";
-    capture_.consent = "not a real person";
+    const bool own = !options_.head.empty();
+    capture_.source = own ? "the head of " + file_name(options_.head) + ", filmed by synth"
+                          : "the built-in head, subject " + std::to_string(options_.subject);
+    capture_.licence = own ? head.rig().licence : "Apache-2.0";
+    capture_.consent = !options_.consent.empty() ? options_.consent
+                       : own                     ? "not stated"
+                                                 : "not a real person";
     capture_.frames_per_second = options_.frames_per_second;
     capture_.camera = head.camera();
     capture_.rig = head.rig();
@@ -153,6 +161,10 @@ class HeadCaptureWriter {
     truth_.identity = capture_.identity;
     truth_.transport = to_string(options_.truth);
     truth_.parts = head.rig().mesh.parts;
+  }
+
+  static std::string file_name(const Path& path) {
+    return (path.has_filename() ? path : path.parent_path()).filename().string();
   }
 
   static std::string file(int frame, const char* extension) {

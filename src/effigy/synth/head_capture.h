@@ -1,5 +1,6 @@
-// Captures of the built-in head with known answers (docs/synth.md): a talking head seen by one
-// camera, every layer of every frame, and the held-out frames under other lights.
+// Captures of the built-in head, or of the user's own, with known answers (docs/synth.md): a
+// talking head seen by one camera, every layer of every frame, and the held-out frames under other
+// lights.
 #pragma once
 
 #include <string>
@@ -30,6 +31,8 @@ struct SynthHeadOptions {
   int texture_size = 1024;
   double distance = 1.0;         // metres from camera to the head's middle
   uint64_t subject = 1;          // who: 1 to 5 are the standard subjects (docs/people.md)
+  std::string head;              // the user's own instead (people/user_head.h); empty: built-in
+  std::string consent;           // what a real person agreed to; empty: not stated
   uint64_t seed = 1;             // of the performance and the noise
   std::string light = "studio";  // a built-in light or an environment file: the capture's light
   std::vector<std::string> relight = {"overcast", "sunset", "window"};  // of the held-out frames
@@ -62,8 +65,9 @@ struct HeadNoise {
 // relighting truth.
 std::vector<HeadNoise> synth_head_noise(const SynthHeadOptions& options, int factor, int frames);
 
-// The performance: talking, blinks, brows, gaze and head turns, smooth in time; expressions that
-// the rig does not have are left out.
+// The performance: talking, blinks, brows, gaze and head turns, smooth in time. Expressions that
+// the rig does not have are left out, but speech then opens a jaw that is a joint, gaze without eye
+// joints moves the eyeLook shapes, and a shape of both sides stands for a pair.
 RigPose performance_pose(const Rig& rig, double seconds, uint64_t seed);
 
 }  // namespace effigy

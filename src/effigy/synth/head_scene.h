@@ -1,4 +1,5 @@
-// The built-in head as a scene for the path tracer, and the camera that looks at it.
+// The built-in head, or the user's own, as a scene for the path tracer, and the camera that looks
+// at it.
 #pragma once
 
 #include "effigy/people/builtin_head.h"
@@ -9,6 +10,7 @@ namespace effigy {
 
 class HeadScene {
  public:
+  // Throws Error for files of the user's that cannot be used (people/user_head.h).
   explicit HeadScene(const SynthHeadOptions& options);
   const Rig& rig() const { return rig_; }
   const Camera& camera() const { return camera_; }

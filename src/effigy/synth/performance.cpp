@@ -1,4 +1,4 @@
-// What the built-in head does in front of the camera.
+// What a head does in front of the camera.
 
 #include <algorithm>
 #include <cmath>
@@ -28,14 +28,33 @@ double wander(double t, double period, Random& random) {
 class Performer {
  public:
   Performer(const Rig& rig, RigPose& pose) : rig_(rig), pose_(pose) {}
-  void express(const std::string& name, double value) {
+  bool express(const std::string& name, double value) {
     const int e = rig_.expression(name);
     if (e >= 0) pose_.expression[e] += static_cast<float>(value);
+    return e >= 0;
   }
-  // Both sides of a symmetric expression.
+  // Both sides of a symmetric expression, or the one that is of both.
   void both(const std::string& name, double value) {
-    express(name + "_L", value);
-    express(name + "_R", value);
+    const bool left = express(name + "_L", value), right = express(name + "_R", value);
+    if (!left && !right) express(name, value);
+  }
+  void open_jaw(double value) {
+    constexpr double kOpen = 0.35;  // radians of a joint, as far as the shape opens at 1
+    if (!express("jawOpen", value)) rotate("jaw", kOpen * value, 0, 0);
+  }
+  // Radians, down and to the person's left. Shapes reach about half a radian.
+  void look(double down, double left) {
+    if (rig_.joint("eye_left") >= 0) {
+      for (const char* eye : {"eye_left", "eye_right"}) rotate(eye, down, left, 0);
+      return;
+    }
+    constexpr double kReach = 2;
+    both("eyeLookDown", kReach * std::max(0.0, down));
+    both("eyeLookUp", kReach * std::max(0.0, -down));
+    for (const auto& [side, out] : {std::pair{"_L", left}, {"_R", -left}}) {
+      express(std::string("eyeLookOut") + side, kReach * std::max(0.0, out));
+      express(std::string("eyeLookIn") + side, kReach * std::max(0.0, -out));
+    }
   }
   void rotate(const std::string& joint, double x, double y, double z) {
     const int j = rig_.joint(joint);
@@ -83,10 +102,11 @@ void speak(Performer& p, double t, double loudness, uint64_t seed) {
     const double center = kStep * (static_cast<double>(k) + random.uniform(-0.2, 0.2));
     const double weight =
         loudness * random.uniform(0.7, 1.0) * pulse(t, center, 1.25 * kStep) / 1.25;
-    for (const Shape& shape : viseme) {
-      p.express(shape.name, weight * shape.value);
-      p.both(shape.name, weight * shape.value);
-    }
+    for (const Shape& shape : viseme)
+      if (std::string(shape.name) == "jawOpen")
+        p.open_jaw(weight * shape.value);
+      else
+        p.both(shape.name, weight * shape.value);
   }
 }
 
@@ -104,17 +124,16 @@ RigPose performance_pose(const Rig& rig, double t, uint64_t seed) {
   // Speech in phrases: louder and softer, with pauses; a smile that comes and goes.
   const double speaking = std::clamp(0.75 + 0.9 * wander(t, 2.6, random), 0.0, 1.0);
   speak(p, t, speaking, seed);
-  p.rotate("jaw", rig.expression("jawOpen") < 0 ? 0.15 * speaking : 0.0, 0, 0);
   p.both("mouthSmile", 0.6 * std::max(0.0, wander(t, 2.9, random)));
   p.both("browInnerUp", 0.5 * std::max(0.0, wander(t, 2.2, random)));
-  p.express("browInnerUp", 0.5 * std::max(0.0, wander(t, 2.2, random)));
+  wander(t, 2.2, random);  // unused; what follows keeps its random numbers, so seeds their meaning
   p.both("browDown", 0.5 * std::max(0.0, wander(t, 2.7, random)));
   p.both("browOuterUp", 0.35 * std::max(0.0, wander(t, 3.4, random)));
   p.both("cheekSquint", 0.3 * std::max(0.0, wander(t, 3.9, random)));
   p.both("noseSneer", 0.25 * std::max(0.0, wander(t, 4.3, random)));
   // Gaze, and a blink about every 1.4 seconds.
   const double look_x = 0.2 * wander(t, 1.9, random), look_y = 0.1 * wander(t, 2.6, random);
-  for (const char* eye : {"eye_left", "eye_right"}) p.rotate(eye, look_y, look_x, 0);
+  p.look(look_y, look_x);
   const double period = 1.4, phase = random.uniform(0, period);
   const double since = std::fmod(t + phase, period);
   p.both("eyeBlink", pulse(since, 0.2, 0.14));
