@@ -16,7 +16,7 @@ namespace {
 using embedding::Surface;
 using embedding::SurfacePoint;
 
-constexpr int kLandmarks = 68, kFirstInner = 17;
+constexpr int kLandmarks = 68, kFirstInner = 17, kFewest = 4;
 constexpr double kLeastCosine = 0.5;
 
 Vec3d point(std::span<const float> values, int i) {
@@ -36,6 +36,31 @@ std::vector<int> part_vertices(const Mesh& mesh, const std::string& name) {
   return out;
 }
 
+// The landmarks of the target that are known, of those that do not slide. Throws Error.
+std::vector<int> known_landmarks(const Rig& rig, std::span<const float> landmarks) {
+  if (rig.multipie.size() != kLandmarks || landmarks.size() != 3 * kLandmarks)
+    throw Error("Fitting a surface needs the 68 landmarks of the rig and of the target.");
+  std::vector<int> known;
+  for (int i = kFirstInner; i < kLandmarks; ++i)
+    if (point(landmarks, i).allFinite()) known.push_back(i);
+  if (known.size() < kFewest)
+    throw Error("Fitting a surface needs at least four known landmarks of the target.");
+  return known;
+}
+
+// target_from_rig by the landmarks alone.
+Eigen::Matrix4d landmark_pose(const Rig& rig, std::span<const float> landmarks,
+                              const std::vector<int>& known, bool scale) {
+  const auto from = landmark_positions(rig.multipie, rig.mesh.triangles, rig.mesh.vertices);
+  const auto count = static_cast<Eigen::Index>(known.size());
+  Eigen::Matrix3Xd a(3, count), b(3, count);
+  for (Eigen::Index i = 0; i < count; ++i) {
+    a.col(i) = point(from, known[static_cast<size_t>(i)]);
+    b.col(i) = point(landmarks, known[static_cast<size_t>(i)]);
+  }
+  return Eigen::umeyama(a, b, scale);
+}
+
 class Fitter {
  public:
   Fitter(const Rig& rig, const Mesh& target, std::span<const float> landmarks,
@@ -45,9 +70,8 @@ class Fitter {
         landmarks_(landmarks),
         options_(options),
         surface_(target, "skin"),
-        skin_(part_vertices(rig.mesh, "skin")) {
-    if (rig.multipie.size() != kLandmarks || landmarks.size() != 3 * kLandmarks)
-      throw Error("Fitting a surface needs the 68 landmarks of the rig and of the target.");
+        skin_(part_vertices(rig.mesh, "skin")),
+        known_(known_landmarks(rig, landmarks)) {
     if (surface_.empty()) throw Error("The surface to fit to has no triangles.");
     fit_.identity.assign(static_cast<size_t>(rig.identity_count), 0.0f);
     fit_.offsets.assign(rig.mesh.vertices.size(), 0.0f);
@@ -74,13 +98,7 @@ class Fitter {
 
   // Landmarks give the first pose.
   void start() {
-    const auto from = landmark_positions(rig_.multipie, rig_.mesh.triangles, rig_.mesh.vertices);
-    Eigen::Matrix3Xd a(3, kLandmarks - kFirstInner), b(3, kLandmarks - kFirstInner);
-    for (int i = kFirstInner; i < kLandmarks; ++i) {
-      a.col(i - kFirstInner) = point(from, i);
-      b.col(i - kFirstInner) = point(landmarks_, i);
-    }
-    const Eigen::Matrix4d pose = Eigen::umeyama(a, b, false);
+    const Eigen::Matrix4d pose = landmark_pose(rig_, landmarks_, known_, false);
     fit_.rotation = pose.topLeftCorner<3, 3>();
     fit_.translation = pose.topRightCorner<3, 1>();
   }
@@ -131,7 +149,7 @@ class Fitter {
       b += share * (along.transpose() * pair.normal.dot(gap) + 0.1 * j.transpose() * gap);
     }
     const auto marks = landmark_positions(rig_.multipie, rig_.mesh.triangles, now);
-    for (int i = kFirstInner; i < kLandmarks; ++i) {
+    for (const int i : known_) {
       const auto k = static_cast<size_t>(i);
       const auto j = slope(rig_.mesh.triangles[rig_.multipie.triangle[k]],
                            rig_.multipie.barycentric[k].cast<double>(), point(marks, i));
@@ -175,7 +193,7 @@ class Fitter {
       rhs.row(pair.vertex) += (pair.to - point(base, pair.vertex)).transpose();
     }
     const auto marks = landmark_positions(rig_.multipie, rig_.mesh.triangles, base);
-    for (int i = kFirstInner; i < kLandmarks; ++i) {
+    for (const int i : known_) {
       const auto k = static_cast<size_t>(i);
       const Vec3i& corners = rig_.mesh.triangles[rig_.multipie.triangle[k]];
       const Vec3d w = rig_.multipie.barycentric[k].cast<double>();
@@ -218,8 +236,9 @@ class Fitter {
     surface = sum / std::max(count, 1);
     const auto marks = landmark_positions(rig_.multipie, rig_.mesh.triangles, fitted.vertices);
     landmark = 0;
-    for (int i = kFirstInner; i < kLandmarks; ++i)
-      landmark += (point(marks, i) - point(landmarks_, i)).norm() / (kLandmarks - kFirstInner);
+    for (const int i : known_)
+      landmark +=
+          (point(marks, i) - point(landmarks_, i)).norm() / static_cast<double>(known_.size());
   }
 
   const Rig& rig_;
@@ -227,7 +246,7 @@ class Fitter {
   std::span<const float> landmarks_;
   SurfaceFitOptions options_;
   Surface surface_;
-  std::vector<int> skin_;
+  std::vector<int> skin_, known_;  // vertices; landmarks
   SurfaceFit fit_;
 };
 
@@ -238,7 +257,7 @@ std::vector<float> fitted_vertices(const Rig& rig, const SurfaceFit& fit, bool w
   for (size_t i = 0; i + 2 < out.size(); i += 3) {
     Vec3d p = Vec3f(&out[i]).cast<double>();
     if (with_offsets) p += Vec3f(&fit.offsets[i]).cast<double>();
-    const Vec3d q = fit.rotation * p + fit.translation;
+    const Vec3d q = fit.scale * (fit.rotation * p) + fit.translation;
     for (int c = 0; c < 3; ++c) out[i + static_cast<size_t>(c)] = static_cast<float>(q[c]);
   }
   return out;
@@ -246,7 +265,23 @@ std::vector<float> fitted_vertices(const Rig& rig, const SurfaceFit& fit, bool w
 
 SurfaceFit fit_surface(const Rig& rig, const Mesh& target, std::span<const float> landmarks,
                        const SurfaceFitOptions& options) {
-  return Fitter(rig, target, landmarks, options).run();
+  if (!options.scale) return Fitter(rig, target, landmarks, options).run();
+  // The fit counts in metres: the landmarks bring the target near them.
+  const double unit = landmark_pose(rig, landmarks, known_landmarks(rig, landmarks), true)
+                          .topLeftCorner<3, 3>()
+                          .col(0)
+                          .norm();
+  const auto in_metres = [&](std::span<const float> values) {
+    std::vector<float> out(values.begin(), values.end());
+    for (float& value : out) value = static_cast<float>(value / unit);
+    return out;
+  };
+  Mesh scaled = target;
+  scaled.vertices = in_metres(target.vertices);
+  SurfaceFit fit = Fitter(rig, scaled, in_metres(landmarks), options).run();
+  fit.scale = unit;
+  fit.translation *= unit;
+  return fit;
 }
 
 }  // namespace effigy

@@ -15,15 +15,18 @@ struct SurfaceFitOptions {
   double prior_weight = 2e-4;     // of one standard deviation of identity, against 1 mm^2
   double furthest = 0.020;        // metres: pairs further apart are left out
   double stiffness = 3.0;         // of the offsets' Laplacian at the first iteration; halves
+  bool scale = false;             // the target's unit is not known: the landmarks give it
 };
 
 struct SurfaceFit {
   Eigen::Matrix3d rotation = Eigen::Matrix3d::Identity();  // target_from_rig
   Vec3d translation = Vec3d::Zero();
+  double scale = 1;  // target units per metre
   std::vector<float> identity;
   std::vector<float> offsets;  // 3V, metres, in the rig's frame, to add to the rest shape
-  // Mean distances in metres. From points of the target to the fitted surface: after pose and
-  // identity alone, and with the offsets; and between the landmarks, 17 to 67 (the outline slides).
+  // Mean distances in metres of the rig. From points of the target to the fitted surface: after
+  // pose and identity alone, and with the offsets; and between the landmarks, 17 to 67 (the outline
+  // slides).
   double identity_distance = 0, distance = 0;
   double identity_landmark_distance = 0, landmark_distance = 0;
 };
@@ -32,9 +35,11 @@ struct SurfaceFit {
 std::vector<float> fitted_vertices(const Rig& rig, const SurfaceFit& fit, bool with_offsets);
 
 // Fits the part "skin" of `rig` to the part "skin" of `target` (each: the whole mesh when there is
-// no such part) and its 68 MultiPIE `landmarks` (3 x 68, metres). No scale: both are in metres.
-// What of the target lies below the rig's neck ring does not count. Throws Error when the rig has
-// not all 68 landmarks or the target has no triangles.
+// no such part) and its 68 MultiPIE `landmarks` (3 x 68, in the target's unit; those that are not
+// finite are not known, at least four of 17 to 67 are). Without options.scale both are in metres;
+// identity's modes cannot be told from a scale otherwise. What of the target lies below the rig's
+// neck ring does not count. Throws Error when the rig has not all 68 landmarks, too few are known,
+// or the target has no triangles.
 SurfaceFit fit_surface(const Rig& rig, const Mesh& target, std::span<const float> landmarks,
                        const SurfaceFitOptions& options = {});
 
