@@ -25,6 +25,28 @@ TEST(Capture, RoundTripKeepsEverything) {
   EXPECT_EQ(*capture.load_mask(0).at(32, 32), 255);
 }
 
+TEST(Capture, LandmarksAndScoresAreKept) {
+  test::ScratchFolder scratch;
+  test::write_tiny_capture(scratch.path(), 4);
+  Capture capture = read_capture(scratch.path());
+  EXPECT_EQ(capture.landmark_count, 0);
+  EXPECT_EQ(capture.score_count, 0);
+  capture.landmark_count = 2;
+  capture.score_count = 3;
+  for (int i = 0; i < 16; ++i) capture.landmarks.push_back(static_cast<float>(i));
+  for (int i = 0; i < 12; ++i) capture.scores.push_back(0.05f * static_cast<float>(i));
+  write_capture(capture, scratch.path());
+  const Capture again = read_capture(scratch.path());
+  EXPECT_EQ(again.landmark_count, 2);
+  EXPECT_EQ(again.landmarks, capture.landmarks);
+  EXPECT_EQ(again.score_count, 3);
+  EXPECT_EQ(again.scores, capture.scores);
+  TensorFile file = read_safetensors(scratch / "tracking.safetensors");
+  file.tensors["scores"].shape = {3, 4};
+  write_safetensors(scratch / "tracking.safetensors", file);
+  EXPECT_TRUE(contains(error_of([&] { read_capture(scratch.path()); }), "'scores'"));
+}
+
 TEST(Capture, SplitIsTheLastQuarterAtMost350) {
   Capture capture;
   capture.frames.resize(2000);

@@ -52,6 +52,10 @@ void read_tracking(Capture& capture) {
     capture.landmarks = file.floats("landmarks", {frames, -1, 2});
     capture.landmark_count = static_cast<int>(file.shape("landmarks")[1]);
   }
+  if (file.has("scores")) {
+    capture.scores = file.floats("scores", {frames, -1});
+    capture.score_count = static_cast<int>(file.shape("scores")[1]);
+  }
 }
 
 void write_tracking(const Capture& capture, const Path& folder) {
@@ -66,6 +70,7 @@ void write_tracking(const Capture& capture, const Path& folder) {
   put("identity", capture.identity, {static_cast<int64_t>(capture.identity.size())});
   if (capture.landmark_count > 0)
     put("landmarks", capture.landmarks, {frames, capture.landmark_count, 2});
+  if (capture.score_count > 0) put("scores", capture.scores, {frames, capture.score_count});
   write_safetensors(folder / "tracking.safetensors", file);
 }
 

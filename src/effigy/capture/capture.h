@@ -40,7 +40,9 @@ struct Capture {
   std::vector<float>
       landmarks;  // [frames][478 or 468][2] pixels in the capture's images; may be empty
   int landmark_count = 0;
-  Json extra;  // further fields of capture.json, kept
+  std::vector<float> scores;  // [frames][score_count] expression scores in [0, 1]; may be empty
+  int score_count = 0;        // 52 of MediaPipe's network
+  Json extra;                 // further fields of capture.json, kept
 
   std::vector<int> train_frames() const;  // indices into frames, tracked only
   std::vector<int> test_frames() const;

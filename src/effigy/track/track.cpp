@@ -80,6 +80,17 @@ void store_landmarks(const VideoObservation& seen, const CropBox& crop, Capture&
   }
 }
 
+// The networks' scores; frames without a face keep zeros. None when no network gives any.
+void store_scores(const VideoObservation& seen, Capture& capture) {
+  for (const FaceObservation& frame : seen.frames)
+    capture.score_count = std::max(capture.score_count, static_cast<int>(frame.scores.size()));
+  const auto count = static_cast<size_t>(capture.score_count);
+  capture.scores.assign(seen.frames.size() * count, 0.0f);
+  for (size_t f = 0; f < seen.frames.size(); ++f)
+    std::copy(seen.frames[f].scores.begin(), seen.frames[f].scores.end(),
+              capture.scores.begin() + static_cast<std::ptrdiff_t>(f * count));
+}
+
 }  // namespace
 
 Json track_video(const Path& video, const Path& output, const TrackOptions& options) {
@@ -121,6 +132,7 @@ Json track_video(const Path& video, const Path& output, const TrackOptions& opti
       fit_camera(fit.focal, seen.width, seen.height)
           .cropped(crop.x, crop.y, crop.width, crop.height, crop.out_width, crop.out_height);
   store_landmarks(seen, crop, capture);
+  store_scores(seen, capture);
   write_frames(video, models, options, seen, fit, crop, folder.dir(), capture);
   clock.stage("mattes and frames");
   split_test_frames(capture, options.test_frames);
