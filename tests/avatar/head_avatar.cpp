@@ -54,6 +54,26 @@ TEST(HeadAvatar, FolderRoundTripDrawsTheSame) {
   EXPECT_GT(brightest, 0.3);
 }
 
+TEST(HeadAvatar, TheEncoderGoesWithTheFolder) {
+  test::ScratchFolder scratch;
+  HeadAvatar avatar = ball_avatar();
+  FrameEncoder encoder;
+  encoder.expression_count = avatar.rig.expression_count;
+  encoder.joint_count = avatar.rig.joint_count();
+  encoder.mean.assign(encoder.input_size(), 0.1f);
+  encoder.projection.assign(encoder.input_size(), 0.2f);
+  encoder.limit = {3};
+  encoder.weights.assign(encoder.pose_size(), 0.3f);
+  avatar.encoder = encoder;
+  write_head_avatar(avatar, scratch / "ball");
+  const HeadAvatar back = read_head_avatar(scratch / "ball");
+  ASSERT_TRUE(back.encoder);
+  EXPECT_EQ(back.encoder->weights, encoder.weights);
+  avatar.encoder.reset();
+  write_head_avatar(avatar, scratch / "ball");
+  EXPECT_FALSE(read_head_avatar(scratch / "ball").encoder);
+}
+
 TEST(HeadAvatar, DamageIsNamed) {
   test::ScratchFolder scratch;
   EXPECT_TRUE(

@@ -26,7 +26,7 @@ const Path& trained() {
     const Outcome train =
         run("train " + (scratch / "capture").string() + " -o " + (scratch / "avatar").string() +
             " --preset quick --iterations 30 --surfels 300 --texture-size 64 --consent 'a test' "
-            "--json");
+            "--set encoder=true --json");
     EXPECT_EQ(train.code, 0) << train.err;
     const Json result = Json::parse(train.out);
     EXPECT_EQ(result["iterations"], 30);
@@ -83,6 +83,31 @@ TEST(Commands, TrainThenInfoRenderTextures) {
   write_png8(place / "paint/albedo.png", Image8(64, 64, 3, 255));
   ASSERT_EQ(run("textures " + avatar + " apply " + paint).code, 0);
   EXPECT_EQ(read_image8(place / "avatar/textures/albedo.png").at(10, 10)[1], 255);
+}
+
+TEST(Commands, ACaptureDrivesThroughTheEncoder) {
+  const Path& place = trained();
+  const test::ScratchFolder scratch;
+  const Path avatar = scratch / "avatar";
+  std::filesystem::copy(place / "avatar", avatar, std::filesystem::copy_options::recursive);
+  // A held-out frame, which training has not refined: its pose in the avatar's own track is the
+  // tracked one, corrected.
+  const auto frame = [&](const std::string& drive) {
+    const Outcome render = run("render " + avatar.string() + " -o " + (scratch / "out").string() +
+                               " --first 7 --count 1 --drive " + drive);
+    EXPECT_EQ(render.code, 0) << render.err;
+    return read_file(scratch / "out/rgb/000007.png");
+  };
+  const std::string capture = (place / "capture").string();
+  const auto own = frame("train"), driven = frame(capture);
+  EXPECT_EQ(own, driven);
+  std::filesystem::remove(avatar / "encoder.safetensors");
+  EXPECT_NE(frame(capture), own);
+  write_text(avatar / "encoder.safetensors", "damaged");
+  const Outcome refused = run("info " + avatar.string());
+  EXPECT_EQ(refused.code, 2);
+  EXPECT_TRUE(refused.one_sentence() && contains(refused.err, "encoder.safetensors"))
+      << refused.err;
 }
 
 TEST(Commands, SplatDrawsPlyFiles) {
@@ -174,6 +199,8 @@ TEST(Commands, ShardsOfEvalMergeToTheWhole) {
   Json whole = read_json(out / "whole/metrics.json"),
        merged = read_json(out / "parts/metrics.json");
   EXPECT_TRUE(merged.contains("refined"));
+  EXPECT_EQ(merged["protocol"], "tracked");
+  EXPECT_NE(merged["psnr"], merged["tracker"]["psnr"]);  // the encoder's correction
   whole.erase("seconds");
   merged.erase("seconds");
   EXPECT_EQ(whole, merged);

@@ -117,6 +117,7 @@ TEST(Trainer, WhatAllFramesShareIsTakenBack) {
   const auto refined = [&](bool hold) {
     TrainSettings settings = tiny_settings();
     settings.hold_mean_pose = hold;
+    settings.encoder = false;  // it would take its part
     settings.rates.frame_translation = 1e-3;
     HeadTrainer trainer(capture, settings);
     for (size_t i = 0; i < 6 * frames.size() + 1; ++i) trainer.step();
@@ -134,6 +135,54 @@ TEST(Trainer, WhatAllFramesShareIsTakenBack) {
   EXPECT_GT(held_spread, 1e-4);
   EXPECT_LT(held_mean, 3e-4);  // one step after the mean was taken back
   EXPECT_GT(free_mean, held_mean);
+}
+
+// Tracking that goes wrong in the same way with every turn of the head is put right on frames that
+// training has not seen, and not without the encoder.
+TEST(Trainer, EncoderLearnsWhatTrackingGetsWrong) {
+  test::ScratchFolder scratch;
+  test::write_tiny_capture(scratch.path(), 12);
+  Capture capture = read_capture(scratch.path());
+  for (size_t f = 0; f < capture.frames.size(); ++f) {
+    // Frames in no order of their turn, so that the held-out ones lie among the others.
+    const float turn = 0.1f * static_cast<float>((5 * f) % 12) - 0.55f;
+    capture.poses[f].joint_rotation[1] = 0.1f * turn;
+    capture.poses[f].translation[0] = 0.02f * turn;  // the pictures all show it in the middle
+  }
+  const auto score = [&](bool encoder) {
+    TrainSettings settings = tiny_settings();
+    settings.encoder = encoder;
+    settings.encoder_head_pose = true;
+    settings.rates.encoder = 0.03;
+    settings.rates.frame_translation = 0;
+    HeadTrainer trainer(capture, settings);
+    for (int i = 0; i < 150; ++i) trainer.step();
+    const HeadAvatar avatar = trainer.avatar();
+    EXPECT_EQ(avatar.encoder.has_value(), encoder);
+    double moved = 0;
+    const std::vector<int> frames = capture.test_frames();
+    const auto scores = evaluate_tracked(avatar, capture, frames);
+    for (const RigPose& pose : scores.poses) moved += std::abs(pose.translation[0]);
+    return std::pair(scores.mean().psnr, moved);
+  };
+  const auto [with, left] = score(true);
+  const auto [without, wrong] = score(false);
+  EXPECT_GT(with, without + 0.5);
+  EXPECT_LT(left, 0.6 * wrong);
+}
+
+TEST(Trainer, EncoderLeavesTheHeadsPoseToTracking) {
+  test::ScratchFolder scratch;
+  test::write_tiny_capture(scratch.path());
+  const Capture capture = read_capture(scratch.path());
+  HeadTrainer trainer(capture, tiny_settings());
+  for (int i = 0; i < 20; ++i) trainer.step();
+  const HeadAvatar avatar = trainer.avatar();
+  ASSERT_TRUE(avatar.encoder);
+  const std::vector<RigPose> poses = encoded_poses(*avatar.encoder, capture, {1});
+  EXPECT_NE(poses[0].expression, capture.poses[1].expression);
+  EXPECT_EQ(poses[0].joint_rotation, capture.poses[1].joint_rotation);
+  EXPECT_EQ(poses[0].translation, capture.poses[1].translation);
 }
 
 TEST(Trainer, JointsAndShapesMoveWhatTheyMovedBefore) {

@@ -14,6 +14,7 @@ namespace {
 
 constexpr int kFormatVersion = 1;
 constexpr int kEnvironmentSize = 32;  // cubemap size of the learned light
+constexpr const char* kEncoderFile = "encoder.safetensors";
 
 template <typename T>
 Tensor tensor(const std::vector<T>& values, std::vector<int64_t> shape) {
@@ -142,6 +143,8 @@ HeadAvatar read_head_avatar(const Path& folder) {
   avatar.material = read_material(folder / "textures");
   avatar.environment =
       cubemap_from_equirectangular(read_environment(folder / "environment.exr"), kEnvironmentSize);
+  if (std::filesystem::exists(folder / kEncoderFile))
+    avatar.encoder = read_frame_encoder(folder / kEncoderFile, avatar.rig);
   if (std::filesystem::is_directory(folder / "tracks"))
     for (const auto& entry : std::filesystem::directory_iterator(folder / "tracks"))
       if (entry.path().extension() == ".safetensors")
@@ -159,6 +162,12 @@ void write_head_avatar(const HeadAvatar& avatar, const Path& folder) {
       folder / "environment.exr",
       equirectangular_from_cubemap(avatar.environment, 8 * kEnvironmentSize, 4 * kEnvironmentSize),
       false);
+  if (avatar.encoder) {
+    write_frame_encoder(folder / kEncoderFile, *avatar.encoder);
+  } else {
+    std::error_code ignored;  // of an avatar that was here before
+    std::filesystem::remove(folder / kEncoderFile, ignored);
+  }
   for (const auto& [name, track] : avatar.tracks)
     write_track(folder / "tracks" / (name + ".safetensors"), track, avatar.rig);
   Json info = avatar.info.is_object() ? avatar.info : Json::object();

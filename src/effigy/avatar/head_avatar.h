@@ -1,12 +1,15 @@
 // Head avatars: a folder a person can open (docs/formats.md).
 //   avatar.json  rig.safetensors  splats.safetensors  environment.exr  tracks/<name>.safetensors
+//   [encoder.safetensors]
 //   textures/albedo.png roughness.png specular.png normal.png (16 bit; a changed PNG is an edit)
 #pragma once
 
 #include <map>
+#include <optional>
 #include <string>
 #include <vector>
 
+#include "effigy/avatar/frame_encoder.h"
 #include "effigy/base/file.h"
 #include "effigy/base/json.h"
 #include "effigy/image/colour.h"
@@ -33,6 +36,7 @@ struct HeadAvatar {
   Cubemap environment;  // linear radiance, the training light
   Camera camera;        // of the capture
   DisplayTransform display = DisplayTransform::kSrgb;
+  std::optional<FrameEncoder> encoder;  // corrects the tracking of captures that drive it
   std::map<std::string, Track> tracks;  // "train": all frames of the capture, as refined
   Json info;  // avatar.json: provenance, settings, metrics; unknown fields are kept
 };

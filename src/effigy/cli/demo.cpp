@@ -71,7 +71,7 @@ int run_demo(int argc, char** argv) {
   if (common.json) {
     print_json(evaluation.metrics());
   } else {
-    const FrameScore m = evaluation.tracker.mean();
+    const FrameScore m = evaluation.tracked.mean();
     std::printf("held-out PSNR %.2f dB, SSIM %.4f\n", m.psnr, m.ssim);
     for (const auto& [name, scores] : evaluation.relight)
       std::printf("relit by %s: PSNR %.2f dB scale-aligned (left in the training light: %.2f dB)\n",

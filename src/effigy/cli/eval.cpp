@@ -55,9 +55,10 @@ Shard ShardOptions::parse() const {
 int evaluate_command(int argc, char** argv, const DistanceSource& source) {
   CLI::App app(
       "Scores an avatar on a capture's held-out frames and writes metrics.json and report.html.\n"
-      "Protocols: tracker (nothing fitted to the test image) and refined (pose and expression "
-      "fitted,\n"
-      "avatar frozen). LPIPS and feature_squeezenet10 where their weights are found (--models, "
+      "Protocols: tracker (tracking alone), tracked (as the avatar's encoder corrects it; nothing "
+      "fitted\n"
+      "to the test image) and refined (pose and expression fitted, avatar frozen). LPIPS and "
+      "feature_squeezenet10 where their weights are found (--models, "
       "else "
       "$EFFIGY_DATA/perceptual;\n"
       "docs/evaluation.md says which files); LPIPS is left out, and said to be, without them.\n\n"
@@ -72,7 +73,8 @@ int evaluate_command(int argc, char** argv, const DistanceSource& source) {
   app.add_option("AVATAR", avatar_path, "Avatar folder")->required();
   app.add_option("CAPTURE", capture_path, "Capture folder")->required();
   app.add_option("-o,--output", output, "Folder for metrics.json and report.html")->required();
-  app.add_option("--protocol", protocol, "tracker, refined or all (default)")
+  app.add_option("--protocol", protocol,
+                 "tracker or tracked (both are scored), refined or all (default)")
       ->check(CLI::IsMember({"tracker", "tracked", "refined", "all"}));
   app.add_option("--refine-steps", options.refine_steps,
                  "Steps of the protocol refined (default 60)")
@@ -112,16 +114,15 @@ int evaluate_command(int argc, char** argv, const DistanceSource& source) {
   if (common.json) {
     print_json(evaluation.metrics());
   } else {
-    const FrameScore m = evaluation.tracker.mean();
     const std::string& net = evaluation.lpips_net;
-    std::printf("tracker  PSNR %.2f dB  SSIM %.4f  FLIP %.4f%s  coverage %.4f  (%zu frames)\n",
-                m.psnr, m.ssim, m.flip, distances_line(m, net).c_str(), m.coverage,
-                evaluation.tracker.frames.size());
-    if (evaluation.refined) {
-      const FrameScore r = evaluation.refined->mean();
-      std::printf("refined  PSNR %.2f dB  SSIM %.4f  FLIP %.4f%s  coverage %.4f\n", r.psnr, r.ssim,
-                  r.flip, distances_line(r, net).c_str(), r.coverage);
-    }
+    const auto print = [&](const char* name, const FrameScore& m) {
+      std::printf("%s  PSNR %.2f dB  SSIM %.4f  FLIP %.4f%s  coverage %.4f\n", name, m.psnr, m.ssim,
+                  m.flip, distances_line(m, net).c_str(), m.coverage);
+    };
+    std::printf("%zu frames\n", evaluation.frames.size());
+    print("tracked", evaluation.tracked.mean());
+    print("tracker", evaluation.tracker.mean());
+    if (evaluation.refined) print("refined", evaluation.refined->mean());
     if (net.empty()) std::printf("LPIPS %s\n", evaluation.lpips_note.c_str());
     std::printf("%s\n", (Path(output) / "report.html").c_str());
   }

@@ -11,15 +11,6 @@
 namespace effigy {
 namespace {
 
-void check_rigs_agree(const HeadAvatar& avatar, const Capture& capture) {
-  if (avatar.rig.kind != capture.rig.kind ||
-      avatar.rig.expression_names != capture.rig.expression_names ||
-      avatar.rig.joint_names != capture.rig.joint_names)
-    throw Error(capture.folder.string() + ": its rig (" + capture.rig.kind +
-                ") is not the avatar's (" + avatar.rig.kind +
-                "); track the video with the avatar's rig (--rig).");
-}
-
 // Mean absolute sRGB difference between rendered and true albedo inside the matte, after the one
 // scale per image that the albedo/light ambiguity leaves free. Empty without truth.
 std::optional<double> albedo_error(const HeadAvatar& avatar, const Capture& capture,
@@ -61,8 +52,8 @@ std::vector<EditView> edit_views(const HeadAvatar& avatar, const Evaluation& eva
   constexpr double kAngles[5][2] = {{0, 0}, {0.3, 0}, {-0.3, 0}, {0, 0.2}, {0, -0.2}};
   std::vector<EditView> views;
   std::vector<float> vertices;
-  for (size_t i = 0; i < evaluation.tracker.poses.size() && i < 100; ++i) {
-    const RigPose& pose = evaluation.tracker.poses[i];
+  for (size_t i = 0; i < evaluation.tracked.poses.size() && i < 100; ++i) {
+    const RigPose& pose = evaluation.tracked.poses[i];
     pose_vertices(avatar.shape, pose, vertices);
     const double* angle = kAngles[i % 5];
     const Camera camera =
@@ -94,6 +85,9 @@ Evaluation score_frames(const HeadAvatar& avatar, const Capture& capture,
   evaluation.lpips_note = options.perceptual.lpips_note;
   const std::vector<ImageDistance>& distances = options.perceptual.distances;
   evaluation.tracker = evaluate_tracker(avatar, capture, evaluation.frames, distances);
+  evaluation.tracked = avatar.encoder
+                           ? evaluate_tracked(avatar, capture, evaluation.frames, distances)
+                           : evaluation.tracker;
   if (options.refined)
     evaluation.refined =
         evaluate_refined(avatar, capture, evaluation.frames, options.refine_steps, distances);
@@ -122,13 +116,13 @@ Evaluation evaluate_avatar(const HeadAvatar& avatar, const Capture& capture,
 }
 
 Json Evaluation::metrics() const {
-  // The top level is the protocol `tracked`, which equals `tracker` without an encoder.
+  // The top level is the protocol `tracked`.
   const auto with_net = [&](const ProtocolScores& protocol) {
     Json json = protocol.to_json();
     json["lpips_net"] = lpips_net.empty() ? Json() : Json(lpips_net);
     return json;
   };
-  Json json = with_net(tracker);
+  Json json = with_net(tracked);
   json["split"] = "test";
   json["protocol"] = "tracked";
   json["tracker"] = with_net(tracker);

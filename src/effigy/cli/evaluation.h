@@ -33,7 +33,7 @@ struct EvaluationOptions {
 
 struct Evaluation {
   std::vector<int> frames;
-  ProtocolScores tracker;
+  ProtocolScores tracker, tracked;  // the same without an encoder
   std::optional<ProtocolScores> refined;
   std::map<std::string, RelightScores> relight;  // synthetic captures only
   std::optional<double> albedo_error;            // mean absolute, sRGB, best scale; where known

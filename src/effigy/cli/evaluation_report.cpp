@@ -63,7 +63,7 @@ class EvaluationReport {
 
  private:
   void scores() {
-    const FrameScore m = e_.tracker.mean();
+    const FrameScore m = e_.tracked.mean();
     std::vector<MetricTile> tiles = {
         {"PSNR", format("{:.2f}", m.psnr), "dB", "whole frame, higher is better"},
         {"SSIM", format("{:.4f}", m.ssim), "", "higher is better"},
@@ -74,17 +74,20 @@ class EvaluationReport {
     tiles.push_back({"Coverage", format("{:.4f}", m.coverage), "", "alpha inside the matte"});
     report_.add_metric_tiles(tiles);
     report_.add_heading("Scores");
-    std::vector<std::vector<std::string>> rows = {row("tracker", m)};
+    std::vector<std::vector<std::string>> rows = {row("tracked", m),
+                                                  row("tracker", e_.tracker.mean())};
     if (e_.refined) rows.push_back(row("refined", e_.refined->mean()));
     std::vector<std::string> columns = {"protocol", "PSNR dB", "PSNR head dB", "SSIM", "FLIP"};
     for (const auto& [name, value] : m.distances) columns.push_back(distance_title(name));
     columns.emplace_back("coverage");
     report_.add_table(columns, rows,
-                      "tracker: parameters from tracking alone, nothing fitted to the test image. "
+                      "tracked: parameters from tracking, as the avatar's encoder corrects them; "
+                      "tracker: from tracking alone; nothing is fitted to the test image. "
                       "refined: pose and expression fitted to the test image, the avatar frozen.");
     report_.add_paragraph("Frames are 8-bit on black, scored over the whole frame. " +
                           distance_note(m));
     LinePlot plot{"PSNR by frame", "frame", "dB", {}, false, false};
+    plot.series.push_back(series("tracked", e_.tracked));
     plot.series.push_back(series("tracker", e_.tracker));
     if (e_.refined) plot.series.push_back(series("refined", *e_.refined));
     report_.add_line_plot(plot);
@@ -130,11 +133,11 @@ class EvaluationReport {
     std::vector<ImageRow> rows;
     for (size_t i : spread_indices(e_.frames.size(), kFramesShown)) {
       const int frame = e_.frames[i];
-      renderer_.set_pose(e_.tracker.poses[i]);
+      renderer_.set_pose(e_.tracked.poses[i]);
       const Image8 input = masked_input(capture_, frame);
       const Image8 render = as_8bit(renderer_.draw(capture_.camera));
       ImageRow shown{
-          format("frame {}, {:.1f} dB", capture_.frames[frame].number, e_.tracker.frames[i].psnr),
+          format("frame {}, {:.1f} dB", capture_.frames[frame].number, e_.tracked.frames[i].psnr),
           {input, render, colour_difference(input, render)}};
       for (const char* buffer : {"albedo", "mapped_normal", "roughness", "uv"})
         shown.images.push_back(view_buffer(renderer_.gbuffer(), buffer));
@@ -183,7 +186,7 @@ class EvaluationReport {
       columns.push_back(Path(name).stem().string());
       renderer_.set_light(load_light(name, 0, "auto", avatar_.environment));
       for (size_t k = 0; k < picked.size(); ++k) {
-        renderer_.set_pose(e_.tracker.poses[picked[k]]);
+        renderer_.set_pose(e_.tracked.poses[picked[k]]);
         rows[k].caption = format("frame {}", capture_.frames[e_.frames[picked[k]]].number);
         rows[k].images.push_back(as_8bit(renderer_.draw(capture_.camera)));
       }
@@ -226,7 +229,7 @@ class EvaluationReport {
     HeadRenderer renderer(edited);
     ImageRow row{"checker", {}};
     for (size_t i : spread_indices(e_.frames.size(), 4)) {
-      renderer.set_pose(e_.tracker.poses[i]);
+      renderer.set_pose(e_.tracked.poses[i]);
       row.images.push_back(as_8bit(renderer.draw(capture_.camera)));
     }
     report_.add_image_grid({}, {row});
@@ -239,7 +242,7 @@ class EvaluationReport {
 
   void views() {
     report_.add_heading("New views");
-    renderer_.set_pose(e_.tracker.poses[e_.frames.size() / 2]);
+    renderer_.set_pose(e_.tracked.poses[e_.frames.size() / 2]);
     const Vec3d center = head_center(renderer_.vertices());
     ImageRow row{"orbit", {}};
     std::vector<std::string> columns;

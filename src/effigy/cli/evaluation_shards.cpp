@@ -80,7 +80,9 @@ void write_evaluation_shard(const Evaluation& evaluation, const EvaluationOption
   about["refine_steps"] = options.refined ? options.refine_steps : 0;
   about["lpips_net"] = evaluation.lpips_net;
   about["lpips_note"] = evaluation.lpips_note;
-  Json scores = {{"tracker", to_json(evaluation.tracker, false)}, {"seconds", evaluation.seconds}};
+  Json scores = {{"tracker", to_json(evaluation.tracker, false)},
+                 {"tracked", to_json(evaluation.tracked, true)},
+                 {"seconds", evaluation.seconds}};
   if (evaluation.refined) scores["refined"] = to_json(*evaluation.refined, true);
   write_shard(out, options.shard, about, std::move(scores));
 }
@@ -94,19 +96,22 @@ Evaluation merge_shards(const HeadAvatar& avatar, const Capture& capture, const 
   Evaluation evaluation;
   evaluation.lpips_net = json_field<std::string>(about, "lpips_net", file);
   evaluation.lpips_note = json_field<std::string>(about, "lpips_note", file);
-  Found tracker, refined;
+  Found tracker, tracked, refined;
   for (const Json& shard : shards) {
     find(json_field<Json>(shard, "tracker", file), capture.poses, file, tracker);
+    find(json_field<Json>(shard, "tracked", file), capture.poses, file, tracked);
     if (shard.contains("refined")) find(shard["refined"], capture.poses, file, refined);
     evaluation.seconds += json_field<double>(shard, "seconds", file);
   }
   // Frames are scored in ascending order.
   for (const auto& [frame, scored] : tracker) evaluation.frames.push_back(frame);
   evaluation.tracker = in_order(tracker);
+  evaluation.tracked = in_order(tracked);
   if (!refined.empty()) evaluation.refined = in_order(refined);
-  if (tracker.empty() || (!refined.empty() && refined.size() != tracker.size()))
+  if (tracker.empty() || tracked.size() != tracker.size() ||
+      (!refined.empty() && refined.size() != tracker.size()))
     throw Error(file.string() +
-                ": the shards do not hold the same frames for both protocols; run "
+                ": the shards do not hold the same frames for all protocols; run "
                 "them again.");
   return evaluation;
 }

@@ -40,9 +40,17 @@ Track load_drive(const std::string& what, const HeadAvatar& avatar) {
     const Capture capture = read_capture(what);
     Track track;
     track.frames_per_second = capture.frames_per_second;
-    for (size_t f = 0; f < capture.frames.size(); ++f) {
-      track.numbers.push_back(capture.frames[f].number);
-      track.poses.push_back(retarget(capture.poses[f], capture.rig, avatar.rig));
+    std::vector<int> frames;
+    for (const CaptureFrame& frame : capture.frames) {
+      frames.push_back(static_cast<int>(frames.size()));
+      track.numbers.push_back(frame.number);
+    }
+    if (avatar.encoder && capture.rig.expression_names == avatar.rig.expression_names &&
+        capture.rig.joint_names == avatar.rig.joint_names) {
+      track.poses = encoded_poses(*avatar.encoder, capture, frames);
+    } else {
+      for (const RigPose& pose : capture.poses)
+        track.poses.push_back(retarget(pose, capture.rig, avatar.rig));
     }
     return track;
   }

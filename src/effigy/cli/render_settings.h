@@ -16,8 +16,9 @@ PrefilteredEnvironment load_light(const std::string& name, double rotation,
 Image light_image(const std::string& name);
 double exposure_factor(const std::string& text);
 
-// Poses by name or path: a track of the avatar ("train"), a track file, or a capture folder of any
-// rig (retargeted by expression and joint names).
+// Poses by name or path: a track of the avatar ("train"), a track file, or a capture folder: of the
+// avatar's rig (as its encoder corrects the tracking) or any other (retargeted by expression and
+// joint names).
 Track load_drive(const std::string& what, const HeadAvatar& avatar);
 
 // Camera on a circle around the head's mean position: `angle` radians to the avatar's left of the

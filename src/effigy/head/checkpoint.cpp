@@ -22,6 +22,7 @@ void visit_parameters(Model& model, Visit&& visit) {
   visit("model.expression_basis", model.shape.expression_basis);
   visit("model.pose_basis", model.shape.pose_basis);
   visit("model.environment", model.environment);
+  if (model.encoder) visit("model.encoder", model.encoder->weights);
 }
 
 Tensor flat(const std::vector<float>& values) {

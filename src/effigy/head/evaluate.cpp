@@ -201,9 +201,32 @@ double neck_row(const HeadAvatar& avatar, const std::vector<float>& vertices,
   return row;
 }
 
-ProtocolScores evaluate_tracker(const HeadAvatar& avatar, const Capture& capture,
-                                const std::vector<int>& frames,
-                                const std::vector<ImageDistance>& distances) {
+void check_rigs_agree(const HeadAvatar& avatar, const Capture& capture) {
+  if (avatar.rig.kind != capture.rig.kind ||
+      avatar.rig.expression_names != capture.rig.expression_names ||
+      avatar.rig.joint_names != capture.rig.joint_names)
+    throw Error(capture.folder.string() + ": its rig (" + capture.rig.kind +
+                ") is not the avatar's (" + avatar.rig.kind +
+                "); track the video with the avatar's rig (--rig).");
+}
+
+namespace {
+
+std::vector<RigPose> tracker_poses(const Capture& capture, const std::vector<int>& frames) {
+  std::vector<RigPose> poses;
+  for (const int frame : frames) poses.push_back(capture.poses[frame]);
+  return poses;
+}
+
+std::vector<RigPose> tracked_poses(const HeadAvatar& avatar, const Capture& capture,
+                                   const std::vector<int>& frames) {
+  return avatar.encoder ? encoded_poses(*avatar.encoder, capture, frames)
+                        : tracker_poses(capture, frames);
+}
+
+ProtocolScores evaluate_poses(const HeadAvatar& avatar, const Capture& capture,
+                              const std::vector<int>& frames, std::vector<RigPose> poses,
+                              const std::vector<ImageDistance>& distances) {
   ProtocolScores scores;
   HeadRenderer renderer(avatar);
   FrameStore store(capture, 0);
@@ -211,26 +234,41 @@ ProtocolScores evaluate_tracker(const HeadAvatar& avatar, const Capture& capture
   std::optional<Progress> progress;  // these take seconds a frame
   if (!distances.empty())
     progress.emplace("scoring test frames", "frames", static_cast<int64_t>(frames.size()));
-  for (int frame : frames) {
+  for (size_t i = 0; i < frames.size(); ++i) {
     throw_if_interrupted();
-    store.load(frame, target);
-    renderer.set_pose(capture.poses[frame]);
+    store.load(frames[i], target);
+    renderer.set_pose(poses[i]);
     const Planes& colour = renderer.draw(capture.camera);
     FrameScore score =
         score_frame(colour, renderer.gbuffer(), target,
                     neck_row(avatar, renderer.vertices(), capture.camera), distances);
-    score.frame = frame;
+    score.frame = frames[i];
     scores.frames.push_back(score);
-    scores.poses.push_back(capture.poses[frame]);
     if (progress) progress->update(static_cast<int64_t>(scores.frames.size()));
   }
+  scores.poses = std::move(poses);
   return scores;
+}
+
+}  // namespace
+
+ProtocolScores evaluate_tracker(const HeadAvatar& avatar, const Capture& capture,
+                                const std::vector<int>& frames,
+                                const std::vector<ImageDistance>& distances) {
+  return evaluate_poses(avatar, capture, frames, tracker_poses(capture, frames), distances);
+}
+
+ProtocolScores evaluate_tracked(const HeadAvatar& avatar, const Capture& capture,
+                                const std::vector<int>& frames,
+                                const std::vector<ImageDistance>& distances) {
+  return evaluate_poses(avatar, capture, frames, tracked_poses(avatar, capture, frames), distances);
 }
 
 ProtocolScores evaluate_refined(const HeadAvatar& avatar, const Capture& capture,
                                 const std::vector<int>& frames, int steps,
                                 const std::vector<ImageDistance>& distances) {
   ProtocolScores scores;
+  const std::vector<RigPose> starts = tracked_poses(avatar, capture, frames);
   HeadRenderer renderer(avatar);
   PoseRefiner refiner(avatar, capture.camera);
   FrameStore store(capture, 0);
@@ -238,7 +276,7 @@ ProtocolScores evaluate_refined(const HeadAvatar& avatar, const Capture& capture
   Progress progress("refining test poses", "frames", static_cast<int64_t>(frames.size()));
   for (size_t i = 0; i < frames.size(); ++i) {
     store.load(frames[i], target);
-    const RigPose pose = refiner.refine(capture.poses[frames[i]], target, steps);
+    const RigPose pose = refiner.refine(starts[i], target, steps);
     renderer.set_pose(pose);
     const Planes& colour = renderer.draw(capture.camera);
     FrameScore score =

@@ -1,5 +1,7 @@
 // Scores an avatar against a capture's held-out frames, under named protocols:
 //   tracker  rig parameters from tracking alone, nothing fitted to the test image
+//   tracked  these as the avatar's encoder corrects them, nothing fitted to the test image; tracker
+//            without an encoder
 //   refined  pose and expression refined against the test image with the avatar frozen
 #pragma once
 
@@ -43,11 +45,19 @@ FrameScore score_frame(const Planes& colour, const Planes& gbuffer, const Target
 // Lowest image row that still counts as head: the highest point of the projected neck ring.
 double neck_row(const HeadAvatar& avatar, const std::vector<float>& vertices, const Camera& camera);
 
-// Poses of the given frames under the protocol `tracker`.
+// Throws Error unless the capture's rig has the avatar's expressions and joints.
+void check_rigs_agree(const HeadAvatar& avatar, const Capture& capture);
+
+// The protocols `tracker` ...
 ProtocolScores evaluate_tracker(const HeadAvatar& avatar, const Capture& capture,
                                 const std::vector<int>& frames,
                                 const std::vector<ImageDistance>& distances = {});
-// As evaluate_tracker after `steps` Adam steps on pose and expression of each frame (L1 + DSSIM).
+// ... `tracked` ...
+ProtocolScores evaluate_tracked(const HeadAvatar& avatar, const Capture& capture,
+                                const std::vector<int>& frames,
+                                const std::vector<ImageDistance>& distances = {});
+// ... and `refined`: as evaluate_tracked after `steps` Adam steps on pose and expression of each
+// frame (L1 + DSSIM).
 ProtocolScores evaluate_refined(const HeadAvatar& avatar, const Capture& capture,
                                 const std::vector<int>& frames, int steps = 20,
                                 const std::vector<ImageDistance>& distances = {});

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "effigy/head/encoder_start.h"
 #include "effigy/head/frames.h"
 #include "effigy/head/silhouette.h"
 #include "effigy/head/start_texture.h"
@@ -49,6 +50,14 @@ void unpack_pose(std::span<const float> flat, RigPose& pose) {
   std::copy_n(at, 3, pose.translation.begin());
 }
 
+std::vector<uint8_t> encoded_entries(const Rig& rig, bool head_pose) {
+  std::vector<uint8_t> entries(pose_size(rig), head_pose ? 1 : 0);
+  std::fill_n(entries.begin(), rig.expression_count, uint8_t{1});
+  if (const int jaw = rig.joint("jaw"); jaw >= 0)
+    std::fill_n(entries.begin() + rig.expression_count + 3 * jaw, 3, uint8_t{1});
+  return entries;
+}
+
 UvMask uv_mask(const Mesh& mesh, int size) {
   return UvMask(uv_coverage(mesh, size, 1), size, size, true);
 }
@@ -67,6 +76,8 @@ HeadModel initial_model(const Capture& capture, const TrainSettings& settings) {
                   model.original);
   model.shape = model.original;
   model.poses = capture.poses;
+  if (settings.encoder)
+    model.encoder = start_encoder(capture, frames, settings.encoder_codes, settings.encoder_reach);
   std::vector<float> weight =
       triangle_visibility(capture, model.original, spread_frames(frames, 40));
   for (float& w : weight) w = 0.1f + 0.9f * w;

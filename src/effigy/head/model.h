@@ -1,6 +1,7 @@
 // The trainable state of a head avatar: parameters, per-frame rig parameters, and how they start.
 #pragma once
 
+#include <optional>
 #include <vector>
 
 #include "effigy/avatar/head_avatar.h"
@@ -15,18 +16,22 @@ inline constexpr int kEnvironmentSize = 32;
 
 struct HeadModel {
   BoundSurfels surfels;
-  BoundSurfels start;              // the surfels before training
-  RigShape shape;                  // tuned: rest, bases, weights
-  RigShape original;               // as tracked
-  TextureParameters material;      // raw texture parameters and their moments
-  std::vector<float> environment;  // log radiance, 6 * 32^2 * 3
-  std::vector<RigPose> poses;      // per frame of the capture, refined for training frames
+  BoundSurfels start;                   // the surfels before training
+  RigShape shape;                       // tuned: rest, bases, weights
+  RigShape original;                    // as tracked
+  TextureParameters material;           // raw texture parameters and their moments
+  std::vector<float> environment;       // log radiance, 6 * 32^2 * 3
+  std::vector<RigPose> poses;           // per frame of the capture, refined for training frames
+  std::optional<FrameEncoder> encoder;  // its correction comes on top of `poses`
 };
 
 // Parameters of one pose in one flat array: expression, joint rotations, translation.
 size_t pose_size(const Rig& rig);
 void pack_pose(const RigPose& pose, std::span<float> flat);
 void unpack_pose(std::span<const float> flat, RigPose& pose);
+
+// Which of these entries the encoder may correct: expression and jaw; all of them with `head_pose`.
+std::vector<uint8_t> encoded_entries(const Rig& rig, bool head_pose);
 
 // UV islands of the rig at the texture size, grown by a texel so that bilinear lookups at borders
 // stay inside.

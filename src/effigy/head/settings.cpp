@@ -29,6 +29,7 @@ constexpr auto kList = [](auto& s, auto&& visit) {
   visit("rate.frame_expression", s.rates.frame_expression);
   visit("rate.frame_rotation", s.rates.frame_rotation);
   visit("rate.frame_translation", s.rates.frame_translation);
+  visit("rate.encoder", s.rates.encoder);
   visit("weight.l1", s.weights.l1);
   visit("weight.dssim", s.weights.dssim);
   visit("weight.mask", s.weights.mask);
@@ -56,6 +57,10 @@ constexpr auto kList = [](auto& s, auto&& visit) {
   visit("start_light", s.start_light);
   visit("refine_expression", s.refine_expression);
   visit("refine_pose", s.refine_pose);
+  visit("encoder", s.encoder);
+  visit("encoder_head_pose", s.encoder_head_pose);
+  visit("encoder_codes", s.encoder_codes);
+  visit("encoder_reach", s.encoder_reach);
   visit("hold_mean_pose", s.hold_mean_pose);
   visit("refine_rig", s.refine_rig);
   visit("local_rig", s.local_rig);
@@ -77,6 +82,8 @@ void check(const TrainSettings& s, const std::string& name) {
   require(s.uv_distortion == "norm" || s.uv_distortion == "squared" || s.uv_distortion == "off",
           "uv_distortion must be norm, squared or off");
   require(s.largest_scale > 0, "largest_scale must be positive");
+  require(s.encoder_codes >= 1 && s.encoder_codes <= 1000, "encoder_codes must be 1 to 1000");
+  require(s.encoder_reach > 0 && s.encoder_reach <= 30, "encoder_reach must be in (0, 30]");
   require(s.final_part >= 0 && s.final_part <= 1 && s.final_rate_factor > 0,
           "final_part must be in [0, 1] and final_rate_factor positive");
 }

@@ -25,6 +25,7 @@ struct LearningRates {
   double frame_expression = 2e-3;
   double frame_rotation = 2e-4;     // radians
   double frame_translation = 2e-5;  // metres
+  double encoder = 1e-4;  // expression per unit of code; 0.1 of it in radians, 0.01 in metres
 };
 
 // Weights of the losses (Table 3b with decisions in metres).
@@ -59,13 +60,17 @@ struct TrainSettings {
   bool interpolated_normals = false;
   bool splat_normal_frame = false;  // Eq. 7's frame instead of the UV-aligned one
   bool jacobian_to_vertices = false;
-  bool fit_silhouette = true;     // start at the mattes' outline (head/silhouette.h)
-  bool start_from_frames = true;  // start albedo and light from the frames (head/start_texture.h)
-  bool start_light = true;        // and that light from how brightness goes with the normal
-  bool refine_expression = true;  // per training frame
-  bool refine_pose = true;        // per training frame (rotation, neck, eyes, translation)
-  bool hold_mean_pose = true;     // what all frames' refinements share is taken back each epoch
-  bool refine_rig = true;         // template, bases, weights
+  bool fit_silhouette = true;      // start at the mattes' outline (head/silhouette.h)
+  bool start_from_frames = true;   // start albedo and light from the frames (head/start_texture.h)
+  bool start_light = true;         // and that light from how brightness goes with the normal
+  bool refine_expression = true;   // per training frame
+  bool refine_pose = true;         // per training frame (rotation, neck, eyes, translation)
+  bool encoder = true;             // learn to correct the tracking (avatar/frame_encoder.h)
+  bool encoder_head_pose = false;  // its rotations and translations too, not the expression alone
+  int encoder_codes = 24;          // in how many ways the inputs differ, for the encoder
+  double encoder_reach = 3;        // standard deviations beyond which they count no more
+  bool hold_mean_pose = true;      // what all frames' refinements share is taken back each epoch
+  bool refine_rig = true;          // template, bases, weights
   bool local_rig = true;       // joints, and shapes in the neck, move only what they moved before
   bool restore_unseen = true;  // what no training frame shows, at the end (head/unseen.h)
   double final_rate_factor = 0.1;  // rates in the last part of the run, 1: constant

@@ -12,6 +12,7 @@
 namespace effigy {
 namespace {
 
+constexpr double kPoseScale[3] = {1, 0.1, 0.01};  // of expression, radians, metres
 constexpr float kLeastShape = 1e-4f;  // metres by which a shape moves the vertices it may move
 
 UvDistortion uv_distortion_mode(const std::string& name) {
@@ -156,7 +157,13 @@ void HeadTrainer::State::update_environment(const PrefilteredEnvironment& d_ligh
             static_cast<float>(rate_factor() * settings.rates.environment));
 }
 
-void HeadTrainer::State::update_pose(int frame, const RigPose& tracked, const RigGradient& gradient,
+// Of an entry of a packed pose: 0 expression, 1 rotation, 2 translation.
+int HeadTrainer::State::group_of(size_t entry) const {
+  if (entry < static_cast<size_t>(capture.rig.expression_count)) return 0;
+  return entry < pose_size(capture.rig) - 3 ? 1 : 2;
+}
+
+void HeadTrainer::State::update_pose(int frame, const RigPose& drawn, const RigGradient& gradient,
                                      LossValues& losses) {
   const size_t size = pose_size(capture.rig);
   const size_t expressions = capture.rig.expression_count;
@@ -166,9 +173,10 @@ void HeadTrainer::State::update_pose(int frame, const RigPose& tracked, const Ri
   RigPose packed{gradient.expression, gradient.joint_rotation, gradient.translation};
   if (settings.weights.expression > 0)
     losses["expression"] =
-        distance_loss(pose.expression, tracked.expression, Distance::kMeanSquared, 1,
+        distance_loss(drawn.expression, capture.poses[frame].expression, Distance::kMeanSquared, 1,
                       static_cast<float>(settings.weights.expression), packed.expression);
   pack_pose(packed, gradients);
+  if (model.encoder) update_encoder(frame, gradients);
   AdamState& state = optimiser.poses[frame];
   if (state.size() != size) state = AdamState(size);
   adam_step(unit, gradients, state, 1.0f);
@@ -176,19 +184,32 @@ void HeadTrainer::State::update_pose(int frame, const RigPose& tracked, const Ri
   const double rates[3] = {settings.refine_expression ? f * settings.rates.frame_expression : 0.0,
                            settings.refine_pose ? f * settings.rates.frame_rotation : 0.0,
                            settings.refine_pose ? f * settings.rates.frame_translation : 0.0};
-  for (size_t k = 0; k < size; ++k) {
-    const int group = k < expressions ? 0 : (k < size - 3 ? 1 : 2);
-    flat[k] += static_cast<float>(rates[group] * unit[k]);
-  }
+  for (size_t k = 0; k < size; ++k) flat[k] += static_cast<float>(rates[group_of(k)] * unit[k]);
   unpack_pose(flat, pose);
   for (size_t e = 0; e < expressions; ++e)
     pose.expression[e] = std::clamp(pose.expression[e], capture.rig.expression_low[e] - 0.3f,
                                     capture.rig.expression_high[e] + 0.3f);
 }
 
-void HeadTrainer::State::update_rig(int frame, const RigPose& tracked, LossValues& losses) {
+// A unit of rotation or translation moves a picture by far more than one of expression does.
+void HeadTrainer::State::update_encoder(int frame, const std::vector<float>& d_pose) {
+  FrameEncoder& encoder = *model.encoder;
+  std::vector<float> gradient(encoder.weights.size(), 0.0f), unit(gradient.size(), 0.0f);
+  std::vector<float> wanted = d_pose;
+  for (size_t k = 0; k < wanted.size(); ++k)
+    if (!encoded[k]) wanted[k] = 0;
+  encoder.backward(codes[frame], wanted, gradient);
+  adam_step(unit, gradient, optimiser.encoder, 1.0f);
+  const double rate = rate_factor() * settings.rates.encoder;
+  const size_t width = encoder.code_size();
+  for (size_t i = 0; i < unit.size(); ++i)
+    encoder.weights[i] += static_cast<float>(rate * kPoseScale[group_of(i / width)] * unit[i]);
+}
+
+void HeadTrainer::State::update_rig(int frame, const RigPose& pose, LossValues& losses) {
   const LossWeights& w = settings.weights;
-  const bool refine_pose = settings.refine_expression || settings.refine_pose;
+  const RigPose& tracked = capture.poses[frame];
+  const bool refine_pose = settings.refine_expression || settings.refine_pose || settings.encoder;
   if (!settings.refine_rig && !refine_pose) return;
   if (settings.refine_rig && w.laplacian > 0) {
     pose_vertices(model.original, tracked, original_vertices);
@@ -206,7 +227,7 @@ void HeadTrainer::State::update_rig(int frame, const RigPose& tracked, LossValue
   }
   g.expression.assign(tracked.expression.size(), 0.0f);
   g.joint_rotation.assign(tracked.joint_rotation.size(), 0.0f);
-  pose_vertices_backward(shape, model.poses[frame], d_bound.vertices, g);
+  pose_vertices_backward(shape, pose, d_bound.vertices, g);
   if (settings.refine_rig) {
     if (settings.local_rig) {
       hold_unweighted(model.original.weights, g.weights);
@@ -233,7 +254,7 @@ void HeadTrainer::State::update_rig(int frame, const RigPose& tracked, LossValue
          3);
     normalise_weights(shape.weights, capture.rig.joint_count());
   }
-  if (refine_pose) update_pose(frame, tracked, g, losses);
+  if (refine_pose) update_pose(frame, pose, g, losses);
 }
 
 void HeadTrainer::State::update_material(LossValues& losses) {
@@ -259,9 +280,9 @@ void HeadTrainer::State::update_material(LossValues& losses) {
 LossValues HeadTrainer::State::step() {
   const int frame = next_frame();
   store.load(frame, target);
-  const RigPose& tracked = capture.poses[frame];
+  const RigPose pose = pose_of(frame);
   const PrefilteredEnvironment light = prefilter.forward(environment_radiance(model.environment));
-  draw(model.poses[frame], light);
+  draw(pose, light);
 
   LossValues losses;
   clear_planes(d_colour, capture.camera, 3);
@@ -277,7 +298,7 @@ LossValues HeadTrainer::State::step() {
   pose_surfels_backward(capture.rig.mesh, vertices, model.surfels, bind, d_posed, d_bound);
   surfel_losses(losses);
 
-  update_rig(frame, tracked, losses);
+  update_rig(frame, pose, losses);
   update_surfels();
   update_environment(d_light);
   update_material(losses);

@@ -51,7 +51,7 @@ class TrainRun {
         loss += 0.05 * ((losses.count("l1") ? losses.at("l1") : 0) - loss);
         if (settings.evaluate_every > 0 && !held_out.empty() &&
             trainer_.iteration() % settings.evaluate_every == 0) {
-          const double psnr = evaluate_tracker(trainer_.avatar(), capture_, held_out).mean().psnr;
+          const double psnr = evaluate_tracked(trainer_.avatar(), capture_, held_out).mean().psnr;
           curve_.add_heldout(trainer_.iteration(), psnr);
           held_out_text = format(", held-out PSNR {:.2f} dB", psnr);
         }

@@ -34,6 +34,13 @@ HeadTrainer::State::State(const Capture& capture_in, const TrainSettings& settin
   optimiser.weights = AdamState(model.shape.weights.size());
   optimiser.expression_basis = AdamState(model.shape.expression_basis.size());
   optimiser.pose_basis = AdamState(model.shape.pose_basis.size());
+  if (model.encoder) {
+    optimiser.encoder = AdamState(model.encoder->weights.size());
+    encoded = encoded_entries(capture.rig, settings.encoder_head_pose);
+    codes.resize(capture.frames.size());
+    for (const int frame : capture.train_frames())
+      codes[frame] = model.encoder->code(model.encoder->inputs(capture, frame));
+  }
   optimiser.poses.resize(capture.frames.size());
   shade.divide_by_alpha = settings.divide_by_alpha;
   shade.display = capture.display;
@@ -82,6 +89,13 @@ void HeadTrainer::State::hold_mean_pose() {
   }
 }
 
+RigPose HeadTrainer::State::pose_of(int frame) const {
+  const RigPose& pose = model.poses[frame];
+  if (!model.encoder) return pose;
+  if (!codes[frame].empty()) return model.encoder->corrected(pose, codes[frame]);
+  return model.encoder->corrected(pose, model.encoder->code(model.encoder->inputs(capture, frame)));
+}
+
 void HeadTrainer::State::shuffle_frames() {
   frames = capture.train_frames();
   Random random(settings.seed + 0x51ed2701 * static_cast<uint64_t>(epoch), kFrameOrder);
@@ -124,6 +138,10 @@ HeadAvatar HeadTrainer::avatar() const {
   track.frames_per_second = s.capture.frames_per_second;
   for (const CaptureFrame& frame : s.capture.frames) track.numbers.push_back(frame.number);
   track.poses = s.model.poses;
+  if (s.model.encoder) {
+    avatar.encoder = s.model.encoder;
+    for (size_t f = 0; f < track.poses.size(); ++f) track.poses[f] = s.pose_of(static_cast<int>(f));
+  }
   avatar.tracks["train"] = track;
   avatar.info = {{"settings", to_json(s.settings)},
                  {"provenance",

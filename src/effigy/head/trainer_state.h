@@ -18,7 +18,7 @@ namespace effigy {
 // Optimiser states of the whole-run parameters, by the names used in checkpoints.
 struct HeadOptimiser {
   AdamState barycentric, displacement, rotation, log_scale, opacity;
-  AdamState environment, rest, weights, expression_basis, pose_basis;
+  AdamState environment, rest, weights, expression_basis, pose_basis, encoder;
   std::vector<AdamState> poses;  // per frame of the capture; empty until first used
 
   // Calls visit(name, state) for every whole-run state.
@@ -34,6 +34,7 @@ struct HeadOptimiser {
     each("weights", weights);
     each("expression_basis", expression_basis);
     each("pose_basis", pose_basis);
+    each("encoder", encoder);
   }
 };
 
@@ -53,7 +54,9 @@ struct HeadTrainer::State {
   Prefilter prefilter{kEnvironmentSize};
   UniformLaplacian laplacian;
   UvMask mask;
-  std::vector<uint8_t> shared;  // per vertex of the rig: several joints move it
+  std::vector<std::vector<float>> codes;  // of training frames, what the encoder sees
+  std::vector<uint8_t> encoded;           // entries of a pose that the encoder corrects
+  std::vector<uint8_t> shared;            // per vertex of the rig: several joints move it
   TextureActivation activation;
   ShadeOptions shade;
   BindOptions bind;
@@ -80,9 +83,12 @@ struct HeadTrainer::State {
   void update_surfels();
   void update_environment(const PrefilteredEnvironment& d_light);
   void update_material(LossValues& losses);
-  void update_rig(int frame, const RigPose& tracked, LossValues& losses);
-  void update_pose(int frame, const RigPose& tracked, const RigGradient& gradient,
-                   LossValues& losses);
+  int group_of(size_t entry) const;
+  // What a training frame is drawn with: as refined, and as the encoder corrects it.
+  RigPose pose_of(int frame) const;
+  void update_rig(int frame, const RigPose& pose, LossValues& losses);
+  void update_pose(int frame, const RigPose& pose, const RigGradient& gradient, LossValues& losses);
+  void update_encoder(int frame, const std::vector<float>& d_pose);
 };
 
 }  // namespace effigy
