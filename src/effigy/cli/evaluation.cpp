@@ -22,7 +22,7 @@ std::optional<double> albedo_error(const HeadAvatar& avatar, const Capture& capt
     if (capture.frames[frame].albedo.empty()) continue;
     const Image truth = to_float(read_image8(capture.folder / capture.frames[frame].albedo));
     const Image8 mask = capture.load_mask(frame);
-    renderer.set_pose(capture.poses[frame]);
+    renderer.set_pose(tracked_pose(avatar, capture, frame));
     renderer.draw(capture.camera);
     const Image albedo = buffer_values(renderer.gbuffer(), "albedo");
     double cross = 0, square = 0, error = 0, pixels = 0;

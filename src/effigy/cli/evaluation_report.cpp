@@ -203,7 +203,7 @@ class EvaluationReport {
           *std::next(set.images.begin(), static_cast<std::ptrdiff_t>(set.images.size() / 2));
       renderer_.set_light(prefilter_environment(read_environment(capture_.folder / set.light), 0,
                                                 e_.relight.at(set.name).scale));
-      renderer_.set_pose(capture_.poses[frame]);
+      renderer_.set_pose(tracked_pose(avatar_, capture_, frame));
       const Image8 truth = read_image8(capture_.folder / path);
       const Image8 render = as_8bit(renderer_.draw(capture_.camera));
       rows.push_back({set.name, {truth, render, colour_difference(truth, render)}});

@@ -210,6 +210,11 @@ void check_rigs_agree(const HeadAvatar& avatar, const Capture& capture) {
                 "); track the video with the avatar's rig (--rig).");
 }
 
+RigPose tracked_pose(const HeadAvatar& avatar, const Capture& capture, int frame) {
+  return avatar.encoder ? encoded_poses(*avatar.encoder, capture, {frame}).front()
+                        : capture.poses[frame];
+}
+
 namespace {
 
 std::vector<RigPose> tracker_poses(const Capture& capture, const std::vector<int>& frames) {
@@ -220,8 +225,9 @@ std::vector<RigPose> tracker_poses(const Capture& capture, const std::vector<int
 
 std::vector<RigPose> tracked_poses(const HeadAvatar& avatar, const Capture& capture,
                                    const std::vector<int>& frames) {
-  return avatar.encoder ? encoded_poses(*avatar.encoder, capture, frames)
-                        : tracker_poses(capture, frames);
+  std::vector<RigPose> poses;
+  for (const int frame : frames) poses.push_back(tracked_pose(avatar, capture, frame));
+  return poses;
 }
 
 ProtocolScores evaluate_poses(const HeadAvatar& avatar, const Capture& capture,

@@ -48,6 +48,9 @@ double neck_row(const HeadAvatar& avatar, const std::vector<float>& vertices, co
 // Throws Error unless the capture's rig has the avatar's expressions and joints.
 void check_rigs_agree(const HeadAvatar& avatar, const Capture& capture);
 
+// A frame's pose under the protocol `tracked`.
+RigPose tracked_pose(const HeadAvatar& avatar, const Capture& capture, int frame);
+
 // The protocols `tracker` ...
 ProtocolScores evaluate_tracker(const HeadAvatar& avatar, const Capture& capture,
                                 const std::vector<int>& frames,

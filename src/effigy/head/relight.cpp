@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "effigy/base/progress.h"
+#include "effigy/head/evaluate.h"
 #include "effigy/image/files.h"
 #include "effigy/image/metrics.h"
 
@@ -29,10 +30,11 @@ Image truth_of(const Capture& capture, const Path& path) {
 }
 
 // Over all frames of the set.
-double best_scale(HeadRenderer& renderer, const Capture& capture, const RelightSet& set) {
+double best_scale(HeadRenderer& renderer, const HeadAvatar& avatar, const Capture& capture,
+                  const RelightSet& set) {
   ScaleFit fit;
   for (const auto& [frame, path] : set.images) {
-    renderer.set_pose(capture.poses[frame]);
+    renderer.set_pose(tracked_pose(avatar, capture, frame));
     fit.add(to_image(renderer.draw(capture.camera)), truth_of(capture, path));
   }
   return fit.scale();
@@ -42,12 +44,13 @@ struct MeanScore {
   double psnr = 0, ssim = 0;
 };
 
-MeanScore mean_score(HeadRenderer& renderer, const Capture& capture, const RelightSet& set) {
+MeanScore mean_score(HeadRenderer& renderer, const HeadAvatar& avatar, const Capture& capture,
+                     const RelightSet& set) {
   MeanScore mean;
   const double share = 1.0 / static_cast<double>(std::max<size_t>(1, set.images.size()));
   for (const auto& [frame, path] : set.images) {
     throw_if_interrupted();
-    renderer.set_pose(capture.poses[frame]);
+    renderer.set_pose(tracked_pose(avatar, capture, frame));
     const Image rendered = rounded(renderer.draw(capture.camera));
     const Image truth = truth_of(capture, path);
     mean.psnr += share * psnr(truth, rendered);
@@ -99,17 +102,17 @@ RelightScores score_relight(const HeadAvatar& avatar, const Capture& capture,
   const PrefilteredEnvironment light =
       prefilter_environment(read_environment(capture.folder / set.light));
   renderer.set_light(light);
-  const MeanScore as_is = mean_score(renderer, capture, set);
+  const MeanScore as_is = mean_score(renderer, avatar, capture, set);
   scores.psnr = as_is.psnr;
   scores.ssim = as_is.ssim;
-  scores.scale = best_scale(renderer, capture, set);
+  scores.scale = best_scale(renderer, avatar, capture, set);
   renderer.set_light(scaled(light, scores.scale));
-  const MeanScore aligned = mean_score(renderer, capture, set);
+  const MeanScore aligned = mean_score(renderer, avatar, capture, set);
   scores.psnr_aligned = aligned.psnr;
   scores.ssim_aligned = aligned.ssim;
   renderer.set_light(own);
-  renderer.set_light(scaled(own, best_scale(renderer, capture, set)));
-  scores.psnr_unlit = mean_score(renderer, capture, set).psnr;
+  renderer.set_light(scaled(own, best_scale(renderer, avatar, capture, set)));
+  scores.psnr_unlit = mean_score(renderer, avatar, capture, set).psnr;
   return scores;
 }
 

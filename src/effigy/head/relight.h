@@ -24,7 +24,7 @@ std::vector<RelightSet> relight_sets(const Capture& capture);
 // capture.
 Path file_inside(const Json& json, const std::string& field, const Path& file);
 
-// In the capture's tracked poses. The avatar's own light is what `psnr_unlit` leaves it in.
+// In the poses of the protocol `tracked`. The avatar's own light is what `psnr_unlit` leaves it in.
 RelightScores score_relight(const HeadAvatar& avatar, const Capture& capture,
                             const RelightSet& set);
 

@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "effigy/base/progress.h"
+#include "effigy/head/evaluate.h"
 #include "effigy/head/relight.h"
 #include "effigy/image/files.h"
 
@@ -69,7 +70,7 @@ std::optional<TruthScores> score_truth(const HeadAvatar& avatar, const Capture& 
   SurfaceErrors errors;
   for (const int frame : frames) {
     throw_if_interrupted();
-    renderer.set_pose(capture.poses[frame]);
+    renderer.set_pose(tracked_pose(avatar, capture, frame));
     renderer.draw(capture.camera);
     const auto layer = [&](const char* name) { return load_layer(capture, *truth, name, frame); };
     errors.add(surface_of(renderer.gbuffer()),

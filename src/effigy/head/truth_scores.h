@@ -20,8 +20,8 @@ struct TruthScores {
 // The last score alone, of two cubemaps of one size.
 double light_error(const Cubemap& light, const Cubemap& truth);
 
-// `frames`: indices into capture.frames, drawn with the capture's tracked poses. Empty when the
-// capture has no layers.
+// `frames`: indices into capture.frames, drawn in the poses of the protocol `tracked`. Empty when
+// the capture has no layers.
 std::optional<TruthScores> score_truth(const HeadAvatar& avatar, const Capture& capture,
                                        const std::vector<int>& frames);
 
