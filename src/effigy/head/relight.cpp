@@ -22,7 +22,7 @@ Image rounded(const Planes& planes) {
 }
 
 Image truth_of(const Capture& capture, const Path& path) {
-  const Image image = to_float(read_image8(capture.folder / path));
+  Image image = to_float(read_image8(capture.folder / path));
   if (image.channels != 3 || image.width != capture.camera.width ||
       image.height != capture.camera.height)
     throw Error((capture.folder / path).string() + ": not an RGB image of the capture's size.");

@@ -371,7 +371,9 @@ void set_parts(Rig& rig) {
       if (eyes[side] < 0) continue;
       float share = 0;
       for (int k = 0; k < 3; ++k)
-        share += rig.weights[static_cast<size_t>(t[k] * rig.joint_count() + eyes[side])] / 3;
+        share += rig.weights[static_cast<size_t>(t[k]) * static_cast<size_t>(rig.joint_count()) +
+                             static_cast<size_t>(eyes[side])] /
+                 3;
       if (share > kEyeShare) part = kLeftEye + side;
     }
     parts.push_back(part);
