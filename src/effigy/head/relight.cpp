@@ -62,7 +62,7 @@ MeanScore mean_score(HeadRenderer& renderer, const HeadAvatar& avatar, const Cap
 }  // namespace
 
 Path file_inside(const Json& json, const std::string& field, const Path& file) {
-  const Path path = json_field<std::string>(json, field, file);
+  Path path = json_field<std::string>(json, field, file);
   for (const Path& part : path)
     if (part == ".." || path.is_absolute())
       throw Error(file.string() + ": field '" + field +

@@ -14,7 +14,6 @@
 namespace effigy {
 namespace {
 
-using people::UserJoint;
 using people::UserKind;
 using people::UserMaterial;
 using people::UserSource;
