@@ -1,24 +1,15 @@
 // Relighting scores: the truth is the avatar itself in another light of known brightness.
 #include "effigy/head/relight.h"
 
-#include "effigy/head/trainer.h"
 #include "effigy/image/files.h"
-#include "support.h"
-#include "tiny_capture.h"
+#include "head/untrained_head.h"
 
 namespace effigy {
 namespace {
 
-class Relit : public ::testing::Test {
+class Relit : public test::UntrainedHead {
  protected:
   void SetUp() override {
-    test::write_tiny_capture(folder_.path());
-    capture_ = read_capture(folder_.path());
-    TrainSettings settings = TrainSettings::from_preset("quick");
-    settings.surfels = 3000;
-    settings.texture_size = 64;
-    settings.fit_silhouette = false;
-    avatar_ = HeadTrainer(capture_, settings).avatar();
     Image light(64, 32, 3, 0.2f);
     for (int y = 4; y < 16; ++y)
       for (int x = 0; x < 20; ++x) light.at(x, y)[0] = light.at(x, y)[1] = 3.0f;
@@ -46,10 +37,6 @@ class Relit : public ::testing::Test {
     EXPECT_EQ(sets.size(), 1u);
     return score_relight(avatar_, capture_, sets.at(0));
   }
-
-  test::ScratchFolder folder_;
-  Capture capture_;
-  HeadAvatar avatar_;
 };
 
 TEST_F(Relit, TheSameLightIsTheTruth) {

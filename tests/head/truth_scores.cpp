@@ -4,26 +4,17 @@
 
 #include <numbers>
 
-#include "effigy/head/trainer.h"
 #include "effigy/image/files.h"
-#include "support.h"
-#include "tiny_capture.h"
+#include "head/untrained_head.h"
 
 namespace effigy {
 namespace {
 
 // The tiny capture with layers that are what an untrained avatar draws.
-class TruthScored : public ::testing::Test {
+class TruthScored : public test::UntrainedHead {
  protected:
   void SetUp() override {
-    test::write_tiny_capture(folder_.path());
-    capture_ = read_capture(folder_.path());
-    TrainSettings settings = TrainSettings::from_preset("quick");
-    settings.surfels = 3000;
-    settings.texture_size = 64;
-    settings.fit_silhouette = false;
-    avatar_ = HeadTrainer(capture_, settings).avatar();
-    std::fill(avatar_.surfels.opacity_logit.begin(), avatar_.surfels.opacity_logit.end(), 8.0f);
+    make_opaque(8.0f);
     frames_ = capture_.test_frames();
     for (const char* name : {"radiance", "albedo", "material", "normal", "depth"})
       truth_.layers[name] = Path("layers") / name;
@@ -75,10 +66,7 @@ class TruthScored : public ::testing::Test {
     }
   }
 
-  test::ScratchFolder folder_;
-  Capture capture_;
   CaptureTruth truth_;
-  HeadAvatar avatar_;
   std::vector<int> frames_;
 };
 

@@ -1,32 +1,20 @@
 // What no frame shows goes back to what is known; what frames show keeps its bits.
 #include "effigy/head/unseen.h"
 
-#include "effigy/head/trainer.h"
 #include "effigy/learn/texture_losses.h"
-#include "support.h"
-#include "tiny_capture.h"
+#include "head/untrained_head.h"
 
 namespace effigy {
 namespace {
 
-class Unseen : public ::testing::Test {
+class Unseen : public test::UntrainedHead {
  protected:
+  Unseen() : UntrainedHead(1500) {}
   void SetUp() override {
-    test::write_tiny_capture(folder_.path());
-    capture_ = read_capture(folder_.path());
-    TrainSettings settings = TrainSettings::from_preset("quick");
-    settings.surfels = 1500;
-    settings.texture_size = 64;
-    settings.fit_silhouette = false;
-    avatar_ = HeadTrainer(capture_, settings).avatar();
-    // Opaque, as training makes them: nothing of the back shines through.
-    std::fill(avatar_.surfels.opacity_logit.begin(), avatar_.surfels.opacity_logit.end(), 7.0f);
+    make_opaque(7.0f);
     start_ = avatar_.surfels;
   }
 
-  test::ScratchFolder folder_;
-  Capture capture_;
-  HeadAvatar avatar_;
   BoundSurfels start_;
 };
 

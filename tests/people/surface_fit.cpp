@@ -17,14 +17,27 @@
 namespace effigy {
 namespace {
 
-TEST(SurfaceFit, FindsAKnownHead) {
-  const Rig rig = builtin_head_rig();
-  Random random(5);
+// Somebody of the rig's own identity space, modes `spread` standard deviations off.
+Mesh somebody(const Rig& rig, uint64_t seed, double spread) {
+  Random random(seed);
   std::vector<float> identity;
   for (int m = 0; m < rig.identity_count; ++m)
-    identity.push_back(static_cast<float>(0.8 * random.normal()));
-  Mesh target = rig.mesh;
-  target.vertices = shape_rig(rig, identity).rest;
+    identity.push_back(static_cast<float>(spread * random.normal()));
+  Mesh mesh = rig.mesh;
+  mesh.vertices = shape_rig(rig, identity).rest;
+  return mesh;
+}
+
+double mean_vertex_distance(const std::vector<float>& a, const std::vector<float>& b) {
+  double sum = 0;
+  for (size_t i = 0; i < a.size(); i += 3)
+    sum += static_cast<double>((Vec3f(&a[i]) - Vec3f(&b[i])).norm());
+  return 3 * sum / static_cast<double>(a.size());
+}
+
+TEST(SurfaceFit, FindsAKnownHead) {
+  const Rig rig = builtin_head_rig();
+  Mesh target = somebody(rig, 5, 0.8);
   const Eigen::Matrix3f turn =
       Eigen::AngleAxisf(0.3f, Vec3f(0.2f, 0.9f, -0.1f).normalized()).toRotationMatrix();
   for (size_t i = 0; i < target.vertices.size(); i += 3)
@@ -37,11 +50,7 @@ TEST(SurfaceFit, FindsAKnownHead) {
   EXPECT_LE(fit.distance, fit.identity_distance);
   EXPECT_LT((fit.rotation - turn.cast<double>()).norm(), 0.02);
   // The vertices themselves, not only the surface, arrive near where they belong.
-  const auto fitted = fitted_vertices(rig, fit, false);
-  double sum = 0;
-  for (size_t i = 0; i < fitted.size(); i += 3)
-    sum += static_cast<double>((Vec3f(&fitted[i]) - Vec3f(&target.vertices[i])).norm());
-  EXPECT_LT(3 * sum / static_cast<double>(fitted.size()), 1.5e-3);
+  EXPECT_LT(mean_vertex_distance(fitted_vertices(rig, fit, false), target.vertices), 1.5e-3);
 }
 
 TEST(SurfaceFit, ReachesTheNeutralFaceOfIct) {
@@ -66,12 +75,7 @@ TEST(SurfaceFit, ReachesTheNeutralFaceOfIct) {
 // In another unit, and with few landmarks that are known.
 TEST(SurfaceFit, FindsTheScaleWithFewLandmarks) {
   const Rig rig = builtin_head_rig();
-  Random random(6);
-  std::vector<float> identity;
-  for (int m = 0; m < rig.identity_count; ++m)
-    identity.push_back(static_cast<float>(0.5 * random.normal()));
-  Mesh target = rig.mesh;
-  target.vertices = shape_rig(rig, identity).rest;
+  Mesh target = somebody(rig, 6, 0.5);
   for (float& x : target.vertices) x = 20 * x + 3;
   auto marks = landmark_positions(rig.multipie, rig.mesh.triangles, target.vertices);
   for (size_t i = 0; i < 68; ++i)
@@ -85,11 +89,7 @@ TEST(SurfaceFit, FindsTheScaleWithFewLandmarks) {
   EXPECT_LT(fit.distance, 0.5e-3);
   EXPECT_LT(fit.identity_landmark_distance, 2e-3);
   EXPECT_LT((fit.rotation - Eigen::Matrix3d::Identity()).norm(), 0.02);
-  const auto fitted = fitted_vertices(rig, fit, true);
-  double sum = 0;
-  for (size_t i = 0; i < fitted.size(); i += 3)
-    sum += static_cast<double>((Vec3f(&fitted[i]) - Vec3f(&target.vertices[i])).norm());
-  EXPECT_LT(3 * sum / static_cast<double>(fitted.size()), 20 * 3e-3);
+  EXPECT_LT(mean_vertex_distance(fitted_vertices(rig, fit, true), target.vertices), 20 * 3e-3);
 }
 
 // Leaves of a scan what is seen from far away (not the inside of its mouth and nose) above a height

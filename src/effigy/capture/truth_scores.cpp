@@ -28,24 +28,29 @@ void check_size(const SurfaceImages& surface, const SurfaceImages& like) {
       throw Error("A capture's layers and the avatar's picture have different sizes.");
 }
 
-// Least squares over the linear albedo of these pixels.
-double albedo_scale(const Image& drawn, const Image& truth, const std::vector<size_t>& pixels) {
-  double cross = 0, square = 0;
-  for (const size_t i : pixels)
-    for (size_t c = 0; c < 3; ++c) {
-      const auto d = static_cast<double>(drawn.data[3 * i + c]);
-      cross += d * static_cast<double>(truth.data[3 * i + c]);
-      square += d * d;
-    }
-  return square > 0 ? cross / square : 1.0;
-}
-
 }  // namespace
 
 SurfaceImages surface_from_layers(Image albedo, const Image& material, Image normal, Image depth,
                                   const Image& radiance) {
   return {std::move(albedo), channel_of(material, 0), channel_of(material, 1),
           std::move(normal), std::move(depth),        channel_of(radiance, 3)};
+}
+
+double albedo_difference(const Image& drawn, const Image& truth,
+                         const std::vector<size_t>& pixels) {
+  double cross = 0, square = 0, sum = 0;
+  for (const size_t i : pixels)
+    for (size_t c = 0; c < 3; ++c) {
+      const auto d = static_cast<double>(drawn.data[3 * i + c]);
+      cross += d * static_cast<double>(truth.data[3 * i + c]);
+      square += d * d;
+    }
+  const auto scale = static_cast<float>(square > 0 ? cross / square : 1.0);
+  for (const size_t i : pixels)
+    for (size_t c = 0; c < 3; ++c)
+      sum += static_cast<double>(std::abs(srgb_from_linear(scale * drawn.data[3 * i + c]) -
+                                          srgb_from_linear(truth.data[3 * i + c])));
+  return pixels.empty() ? 0.0 : sum / (3 * static_cast<double>(pixels.size()));
 }
 
 Json SurfaceScores::to_json() const {
@@ -64,12 +69,10 @@ void SurfaceErrors::add(const SurfaceImages& drawn, const SurfaceImages& truth) 
   for (size_t i = 0; i < truth.alpha.data.size(); ++i)
     if (truth.alpha.data[i] > kCovered && drawn.alpha.data[i] > kCovered && truth.depth.data[i] > 0)
       pixels.push_back(i);
-  const auto scale = static_cast<float>(albedo_scale(drawn.albedo, truth.albedo, pixels));
+  albedo_.add(albedo_difference(drawn.albedo, truth.albedo, pixels),
+              static_cast<double>(pixels.size()));
   const bool specular = !drawn.specular.data.empty() && !truth.specular.data.empty();
   for (const size_t i : pixels) {
-    for (size_t c = 0; c < 3; ++c)
-      albedo_.add(std::abs(srgb_from_linear(scale * drawn.albedo.data[3 * i + c]) -
-                           srgb_from_linear(truth.albedo.data[3 * i + c])));
     roughness_.add(std::abs(drawn.roughness.data[i] - truth.roughness.data[i]));
     if (specular) specular_.add(std::abs(drawn.specular.data[i] - truth.specular.data[i]));
     const Vec3d a = Eigen::Map<const Vec3f>(&drawn.normal.data[3 * i]).cast<double>();

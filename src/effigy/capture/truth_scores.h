@@ -23,6 +23,10 @@ struct SurfaceImages {
 SurfaceImages surface_from_layers(Image albedo, const Image& material, Image normal, Image depth,
                                   const Image& radiance);
 
+// Mean absolute difference of sRGB values of linear albedo at these pixels, after the one scale
+// (least squares) that is left free between albedo and light. 0 without pixels.
+double albedo_difference(const Image& drawn, const Image& truth, const std::vector<size_t>& pixels);
+
 // Means over the pixels that truth and avatar cover whole (alpha above 0.99).
 struct SurfaceScores {
   double albedo_error = 0;               // absolute sRGB difference, after one scale a view
@@ -44,9 +48,9 @@ class SurfaceErrors {
  private:
   struct Mean {
     double sum = 0, weight = 0;
-    void add(double value) {
-      sum += value;
-      weight += 1;
+    void add(double value, double by = 1) {
+      sum += by * value;
+      weight += by;
     }
     double mean() const { return weight > 0 ? sum / weight : 0.0; }
   };

@@ -11,8 +11,8 @@
 namespace effigy {
 namespace {
 
-// Mean absolute sRGB difference between rendered and true albedo inside the matte, after the one
-// scale per image that the albedo/light ambiguity leaves free. Empty without truth.
+// Of captures that have albedo images but no layers: mean over frames of the difference inside the
+// matte. Empty without such images.
 std::optional<double> albedo_error(const HeadAvatar& avatar, const Capture& capture,
                                    const std::vector<int>& frames) {
   HeadRenderer renderer(avatar);
@@ -20,28 +20,17 @@ std::optional<double> albedo_error(const HeadAvatar& avatar, const Capture& capt
   int count = 0;
   for (int frame : frames) {
     if (capture.frames[frame].albedo.empty()) continue;
-    const Image truth = to_float(read_image8(capture.folder / capture.frames[frame].albedo));
+    Image truth = to_float(read_image8(capture.folder / capture.frames[frame].albedo));
+    for (float& value : truth.data) value = linear_from_srgb(value);
     const Image8 mask = capture.load_mask(frame);
+    std::vector<size_t> pixels;
+    for (size_t i = 0; i < mask.data.size(); ++i)
+      if (mask.data[i] > 250) pixels.push_back(i);
+    if (pixels.empty()) continue;
     renderer.set_pose(tracked_pose(avatar, capture, frame));
     renderer.draw(capture.camera);
-    const Image albedo = buffer_values(renderer.gbuffer(), "albedo");
-    double cross = 0, square = 0, error = 0, pixels = 0;
-    for (size_t i = 0; i < mask.data.size(); ++i)
-      for (size_t c = 0; mask.data[i] > 250 && c < 3; ++c) {
-        cross += albedo.data[3 * i + c] * linear_from_srgb(truth.data[3 * i + c]);
-        square += albedo.data[3 * i + c] * albedo.data[3 * i + c];
-      }
-    const double scale = square > 0 ? cross / square : 1.0;
-    for (size_t i = 0; i < mask.data.size(); ++i)
-      for (size_t c = 0; mask.data[i] > 250 && c < 3; ++c) {
-        const auto value = static_cast<float>(scale * albedo.data[3 * i + c]);
-        error += std::abs(srgb_from_linear(value) - truth.data[3 * i + c]);
-        pixels += 1;
-      }
-    if (pixels > 0) {
-      sum += error / pixels;
-      ++count;
-    }
+    sum += albedo_difference(buffer_values(renderer.gbuffer(), "albedo"), truth, pixels);
+    ++count;
   }
   if (count == 0) return std::nullopt;
   return sum / count;

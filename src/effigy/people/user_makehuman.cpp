@@ -7,6 +7,7 @@
 
 #include "effigy/base/error.h"
 #include "effigy/base/json.h"
+#include "effigy/base/log.h"
 #include "effigy/image/files.h"
 #include "effigy/people/user_parts.h"
 
@@ -29,11 +30,12 @@ std::map<std::string, Vec3d> joint_places(const Json& skeleton, const Mesh& mesh
   if (!joints.is_object()) throw Error(file + ": 'joints' is no object; use MakeHuman's own file.");
   for (const auto& [name, list] : joints.items()) {
     if (!list.is_array() || list.empty())
-      throw Error(file + ": joint '" + name + "' names no vertices.");
+      throw Error(format("{}: joint '{}' names no vertices.", file, name));
     Vec3d sum = Vec3d::Zero();
     for (const Json& v : list) {
       if (!v.is_number_integer() || v.get<int64_t>() < 0 || v.get<int64_t>() >= mesh.vertex_count())
-        throw Error(file + ": joint '" + name + "' names a vertex that base.obj does not have.");
+        throw Error(
+            format("{}: joint '{}' names a vertex that base.obj does not have.", file, name));
       sum += mesh.vertex(v.get<int>()).cast<double>();
     }
     places[name] = kMetres * sum / static_cast<double>(list.size());
@@ -49,7 +51,7 @@ void add_bones(const Json& skeleton, const Mesh& mesh, const std::string& file,
   for (const auto& [name, bone] : bones.items()) {
     const Json& head = field(bone, "head", file);
     if (!head.is_string() || places.count(head.get<std::string>()) == 0)
-      throw Error(file + ": bone '" + name + "' has no head joint.");
+      throw Error(format("{}: bone '{}' has no head joint.", file, name));
     number[name] = static_cast<int>(source.joints.size());
     source.joints.push_back({name, -1, places.at(head.get<std::string>())});
   }
@@ -57,7 +59,7 @@ void add_bones(const Json& skeleton, const Mesh& mesh, const std::string& file,
     const Json& parent = field(bone, "parent", file);
     if (parent.is_null()) continue;
     if (!parent.is_string() || number.count(parent.get<std::string>()) == 0)
-      throw Error(file + ": bone '" + name + "' has a parent that does not exist.");
+      throw Error(format("{}: bone '{}' has a parent that does not exist.", file, name));
     source.joints[static_cast<size_t>(number[name])].parent = number[parent.get<std::string>()];
   }
 }

@@ -172,11 +172,7 @@ class PartialFolder {
   // Nothing stays of a capture without images.
   ~PartialFolder() {
     std::error_code ignored;
-    if (!fs::exists(work_ / "images", ignored)) discard();
-  }
-  void discard() const {
-    std::error_code ignored;
-    fs::remove_all(work_, ignored);
+    if (!fs::exists(work_ / "images", ignored)) fs::remove_all(work_, ignored);
   }
   PartialFolder(const PartialFolder&) = delete;
   PartialFolder& operator=(const PartialFolder&) = delete;
@@ -231,13 +227,7 @@ class BodyCaptureWriter {
       for (size_t c = 0; c < capture_.cameras.size(); ++c) made += done(f, c) ? 1 : 0;
     SynthBodyResult result;
     result.kept = static_cast<int>(made);
-    try {
-      render(made);
-    } catch (const Error& error) {
-      // What these options can never finish does not stand in the way of corrected ones.
-      if (error.blame() == Blame::kInput) folder_.discard();
-      throw;
-    }
+    render(made);
     finish_capture();
     result.frames = static_cast<int>(capture_.frames.size());
     result.images = static_cast<int>(images);
