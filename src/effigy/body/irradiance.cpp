@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 
 #include "effigy/base/error.h"
 #include "effigy/base/threads.h"
@@ -13,6 +14,7 @@ namespace effigy {
 namespace {
 
 constexpr size_t kGrain = 64;
+constexpr int kBlock = 8;  // texels
 constexpr float kAway = 1e30f;
 
 // Where rays of a texel begin, and which way its surface looks.
@@ -118,6 +120,16 @@ TexelIrradiance::TexelIrradiance(const UvTexels& texels) : count_(texels.count()
   std::vector<int32_t> shown(pixels, -1);
   for (size_t i = 0; i < count_; ++i)
     shown[static_cast<size_t>(texels.texel[i])] = static_cast<int32_t>(i);
+  // Block by block of the atlas, which is place by place on the body: rays then meet the same parts
+  // of the tree.
+  order_.resize(count_);
+  std::iota(order_.begin(), order_.end(), 0u);
+  const auto block = [&](uint32_t i) {
+    const int texel = texels.texel[i], x = texel % texels.size, y = texel / texels.size;
+    return y / kBlock * texels.size + x / kBlock;
+  };
+  std::stable_sort(order_.begin(), order_.end(),
+                   [&](uint32_t a, uint32_t b) { return block(a) < block(b); });
   const std::vector<int> nearest = nearest_shown(texels.size, shown);
   source_.resize(pixels);
   for (size_t i = 0; i < pixels; ++i) {
@@ -135,7 +147,8 @@ std::vector<float> TexelIrradiance::of_points(const TexelFrames& frames, const R
   std::vector<float> values(count_);
   parallel_for(count_, kGrain, [&](size_t begin, size_t end, int) {
     FrontLights front(lights, luminances);
-    for (size_t i = begin; i < end; ++i) {
+    for (size_t k = begin; k < end; ++k) {
+      const size_t i = order_[k];
       const Site site = site_of(frames, i, sampling.offset);
       front.see_from(site);
       PixelSampler sampler = sampler_of(i, sampling.seed);
@@ -155,7 +168,8 @@ std::vector<float> TexelIrradiance::of_environment(const TexelFrames& frames, co
   EFFIGY_CHECK(light.draw() == EnvironmentDraw::kLuminance);
   std::vector<float> values(count_);
   parallel_for(count_, kGrain, [&](size_t begin, size_t end, int) {
-    for (size_t i = begin; i < end; ++i) {
+    for (size_t k = begin; k < end; ++k) {
+      const size_t i = order_[k];
       const Site site = site_of(frames, i, sampling.offset);
       PixelSampler sampler = sampler_of(i, sampling.seed);
       int seen = 0;

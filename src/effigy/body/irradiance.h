@@ -48,6 +48,7 @@ class TexelIrradiance {
   std::vector<float> picture(const std::vector<float>& values) const;
 
   size_t count_;
+  std::vector<uint32_t> order_;  // of the valid texels: what lies together follows each other
   std::vector<int32_t> source_;  // per texel of the picture: which of the valid ones it shows
 };
 

@@ -24,8 +24,6 @@ namespace {
 
 constexpr const char* kPrefix = "networks.";
 constexpr float kSmallestDeviation = 1e-4f;
-// What libtorch still does is small; its threads would wait for those of the large layers.
-constexpr int kTorchThreads = 1;
 
 at::Tensor copy_of(std::span<const float> values, const std::vector<int64_t>& shape) {
   at::Tensor tensor = at::empty(shape, at::ScalarType::Float);
@@ -163,7 +161,7 @@ void BodyNetworks::set_training(bool training) {
 std::span<const float> BodyNetworks::decode(std::span<const float> body,
                                             std::span<const float> face) {
   State& s = *state_;
-  use_torch_threads(kTorchThreads);
+  use_torch_threads(thread_count());
   const at::AutoGradMode mode(s.training);
   s.visibility = at::Tensor();
   s.seed = s.modules.seed(s.modules.encode(s.keypoints(body, s.body_scale, "body"),
@@ -176,7 +174,7 @@ std::span<const float> BodyNetworks::visibility(std::span<const float> direction
   State& s = *state_;
   EFFIGY_CHECK(s.seed.defined());
   EFFIGY_CHECK_EQ(directions.size(), 3 * s.texels.size());
-  use_torch_threads(kTorchThreads);
+  use_torch_threads(thread_count());
   const at::AutoGradMode mode(s.training);
   at::Tensor view = at::zeros({kSeedSide, kSeedSide, 3}, at::ScalarType::Float);
   float* mean = view.data_ptr<float>();
@@ -191,7 +189,7 @@ std::span<const float> BodyNetworks::shadow(std::span<const float> irradiance) {
   State& s = *state_;
   const size_t size = s.mean_irradiance.size(), pictures = irradiance.size() / size;
   EFFIGY_CHECK(pictures >= 1 && irradiance.size() == pictures * size);
-  use_torch_threads(kTorchThreads);
+  use_torch_threads(thread_count());
   const at::AutoGradMode mode(s.training);
   std::vector<at::Tensor> shadows;
   for (size_t k = 0; k < pictures; ++k) {
@@ -208,7 +206,7 @@ std::span<const float> BodyNetworks::shadow(std::span<const float> irradiance) {
 void BodyNetworks::backward(std::span<const float> d_gaussians, std::span<const float> d_visibility,
                             std::span<const float> d_shadow) {
   State& s = *state_;
-  use_torch_threads(kTorchThreads);
+  use_torch_threads(thread_count());
   std::vector<at::Tensor> results, gradients;
   const auto add = [&](const at::Tensor& result, std::span<const float> gradient) {
     if (gradient.empty()) return;

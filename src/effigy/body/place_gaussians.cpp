@@ -15,14 +15,11 @@ constexpr size_t kGrain = 1024;
 constexpr size_t kLine = 16;  // floats
 constexpr size_t kZonal = Channels::kNormal - Channels::kColoured;
 
-// log(1 + e^x) and its inverse, without overflow, exact for small values.
+// log(1 + e^x), without overflow, exact for small values.
 float softplus(float x) {
   // log(1 + e), whose rounding of 1 + e is taken back out (Kahan's form, faster than log1p).
   const float e = std::exp(-std::abs(x)), u = 1.0f + e;
   return std::max(x, 0.0f) + (u == 1.0f ? e : std::log(u) * (e / (u - 1.0f)));
-}
-float softplus_inverse(float y) {
-  return y + std::log(-std::expm1(-y));
 }
 float sigmoid(float x) {
   return x >= 0 ? 1.0f / (1.0f + std::exp(-x)) : std::exp(x) / (1.0f + std::exp(x));
@@ -120,9 +117,8 @@ void place_gaussians(const UvTexels& texels, const TexelFrames& frames,
           Vec3f(&frames.position[3 * i]) +
           static_cast<float>(kOffsetUnit) * (texel.tbn * Vec3f(x + Channels::kOffset));
       Eigen::Map<Vec4f>(&g.rotation[4 * i]) = product_matrix(texel.tbn_q) * texel.q;
-      const float spacing = softplus_inverse(texels.spacing[i]);
       for (size_t c = 0; c < 3; ++c)
-        g.scale[3 * i + c] = softplus(x[Channels::kScale + c] + spacing);
+        g.scale[3 * i + c] = softplus(x[Channels::kScale + c] + texels.scale_start[i]);
       g.opacity[i] = sigmoid(x[Channels::kOpacity] + start_opacity);
       const Mat3f r = texel.tbn * texel.delta;
       const Vec3f normal =
@@ -163,9 +159,9 @@ void place_gaussians_backward(const UvTexels& texels, const TexelFrames& frames,
       if (!d.center.empty())
         Eigen::Map<Vec3f>(d_x + Channels::kOffset) =
             static_cast<float>(kOffsetUnit) * (texel.tbn.transpose() * Vec3f(&d.center[3 * i]));
-      const float spacing = softplus_inverse(texels.spacing[i]);
       for (size_t c = 0; !d.scale.empty() && c < 3; ++c)
-        d_x[Channels::kScale + c] = d.scale[3 * i + c] * sigmoid(x[Channels::kScale + c] + spacing);
+        d_x[Channels::kScale + c] =
+            d.scale[3 * i + c] * sigmoid(x[Channels::kScale + c] + texels.scale_start[i]);
       if (!d.opacity.empty()) {
         const float o = sigmoid(x[Channels::kOpacity] + start_opacity);
         d_x[Channels::kOpacity] = d.opacity[i] * o * (1 - o);

@@ -26,6 +26,7 @@ struct UvTexels {
   std::vector<float> along_u;
   // Metres between neighbouring texels on the mesh given, at least a tenth of a millimetre.
   std::vector<float> spacing;
+  std::vector<float> scale_start;  // what softplus makes the spacing of
   size_t count() const { return texel.size(); }
 };
 // Throws Error when the mesh has no UVs or no texel is valid.

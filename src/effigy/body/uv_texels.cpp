@@ -11,6 +11,11 @@ namespace {
 constexpr float kSmallestSpacing = 1e-4f;
 constexpr size_t kGrain = 1024;
 
+// The inverse of log(1 + e^x).
+float softplus_inverse(float y) {
+  return y + std::log(-std::expm1(-y));
+}
+
 // The rotation whose third column is along `normal` and whose first is as near to `tangent` as that
 // allows.
 Eigen::Matrix3f frame_of(const Vec3f& tangent, const Vec3f& normal) {
@@ -56,6 +61,7 @@ UvTexels uv_texels(const Mesh& mesh, int size) {
     texels.along_u.push_back(static_cast<float>(-e1.y() * unit));
     const auto spacing = static_cast<float>(std::sqrt(area / std::abs(uv_area)) / size);
     texels.spacing.push_back(std::max(spacing, kSmallestSpacing));
+    texels.scale_start.push_back(softplus_inverse(texels.spacing.back()));
   }
   if (texels.texel.empty())
     throw Error(
