@@ -52,6 +52,27 @@ Capture capture_with_landmark(const Path& folder) {
   return capture;
 }
 
+// The paper's encoder leaves the head's pose to tracking: figures with another have to say so.
+TEST(FrameEncoder, TellsWhetherItCorrectsTheHeadsPose) {
+  test::ScratchFolder scratch;
+  Capture capture = capture_with_landmark(scratch.path());
+  FrameEncoder encoder = some_encoder(capture.rig);
+  EXPECT_TRUE(encoder.corrects_head_pose(capture.rig));
+  const auto after_expression =
+      encoder.weights.begin() +
+      static_cast<std::ptrdiff_t>(static_cast<size_t>(encoder.expression_count) *
+                                  encoder.code_size());
+  std::fill(after_expression, encoder.weights.end(), 0.0f);
+  EXPECT_FALSE(encoder.corrects_head_pose(capture.rig));
+  encoder.weights.back() = 0.1f;  // of the translation
+  EXPECT_TRUE(encoder.corrects_head_pose(capture.rig));
+  encoder.weights.back() = 0;
+  capture.rig.joint_names.back() = "jaw";
+  after_expression[static_cast<std::ptrdiff_t>(3 * (capture.rig.joint_names.size() - 1) *
+                                               encoder.code_size())] = 0.1f;
+  EXPECT_FALSE(encoder.corrects_head_pose(capture.rig));
+}
+
 TEST(FrameEncoder, LooksAtPoseScoresAndLandmarks) {
   test::ScratchFolder scratch;
   const Capture capture = capture_with_landmark(scratch.path());

@@ -73,6 +73,18 @@ size_t FrameEncoder::input_size() const {
   return pose_size() + static_cast<size_t>(score_count) + 2 * landmarks.size();
 }
 
+bool FrameEncoder::corrects_head_pose(const Rig& rig) const {
+  const size_t codes = code_size(), first = static_cast<size_t>(expression_count);
+  const int jaw = rig.joint("jaw");
+  for (size_t p = first; p < pose_size(); ++p) {
+    if (jaw >= 0 && (p - first) / 3 == static_cast<size_t>(jaw)) continue;
+    const auto row = weights.begin() + static_cast<std::ptrdiff_t>(p * codes);
+    if (std::any_of(row, row + static_cast<std::ptrdiff_t>(codes), [](float w) { return w != 0; }))
+      return true;
+  }
+  return false;
+}
+
 std::vector<float> FrameEncoder::inputs(const Capture& capture, int frame) const {
   EFFIGY_CHECK_EQ(capture.rig.expression_count, expression_count);
   EFFIGY_CHECK_EQ(capture.rig.joint_count(), joint_count);

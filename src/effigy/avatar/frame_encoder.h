@@ -31,6 +31,8 @@ struct FrameEncoder {
   size_t input_size() const;  // D
   size_t code_size() const { return input_size() > 0 ? projection.size() / input_size() : 0; }
 
+  // Whether it corrects more than expression and jaw of `rig`, the only ones that the paper's does.
+  bool corrects_head_pose(const Rig& rig) const;
   // D inputs of a frame of `capture`, whose rig must have the encoder's expressions and joints.
   // Landmarks or scores that the capture lacks are as in the mean, so that they say nothing.
   std::vector<float> inputs(const Capture& capture, int frame) const;

@@ -120,7 +120,7 @@ int evaluate_command(int argc, char** argv, const DistanceSource& source) {
                   m.flip, distances_line(m, net).c_str(), m.coverage);
     };
     std::printf("%zu frames\n", evaluation.frames.size());
-    print("tracked", evaluation.tracked.mean());
+    print(evaluation.tracked_name.c_str(), evaluation.tracked.mean());
     print("tracker", evaluation.tracker.mean());
     if (evaluation.refined) print("refined", evaluation.refined->mean());
     if (net.empty()) std::printf("LPIPS %s\n", evaluation.lpips_note.c_str());

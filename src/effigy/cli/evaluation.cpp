@@ -87,6 +87,8 @@ Evaluation score_frames(const HeadAvatar& avatar, const Capture& capture,
 
 void score_as_a_whole(const HeadAvatar& avatar, const Capture& capture, Evaluation& evaluation) {
   const auto begin = std::chrono::steady_clock::now();
+  if (avatar.encoder && avatar.encoder->corrects_head_pose(avatar.rig))
+    evaluation.tracked_name = "tracked_with_pose";
   for (const RelightSet& set : relight_sets(capture))
     evaluation.relight[set.name] = score_relight(avatar, capture, set);
   evaluation.truth = score_truth(avatar, capture, evaluation.frames);
@@ -113,7 +115,7 @@ Json Evaluation::metrics() const {
   };
   Json json = with_net(tracked);
   json["split"] = "test";
-  json["protocol"] = "tracked";
+  json["protocol"] = tracked_name;
   json["tracker"] = with_net(tracker);
   if (refined) json["refined"] = with_net(*refined);
   json["relight"] = Json::object();

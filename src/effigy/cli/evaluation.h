@@ -34,6 +34,8 @@ struct EvaluationOptions {
 struct Evaluation {
   std::vector<int> frames;
   ProtocolScores tracker, tracked;  // the same without an encoder
+  // What `tracked` is called: "tracked_with_pose" of an encoder that corrects the head's pose too.
+  std::string tracked_name = "tracked";
   std::optional<ProtocolScores> refined;
   std::map<std::string, RelightScores> relight;  // synthetic captures only
   std::optional<double> albedo_error;            // mean absolute, sRGB, best scale; where known

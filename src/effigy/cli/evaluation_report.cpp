@@ -74,20 +74,22 @@ class EvaluationReport {
     tiles.push_back({"Coverage", format("{:.4f}", m.coverage), "", "alpha inside the matte"});
     report_.add_metric_tiles(tiles);
     report_.add_heading("Scores");
-    std::vector<std::vector<std::string>> rows = {row("tracked", m),
+    std::vector<std::vector<std::string>> rows = {row(e_.tracked_name, m),
                                                   row("tracker", e_.tracker.mean())};
     if (e_.refined) rows.push_back(row("refined", e_.refined->mean()));
     std::vector<std::string> columns = {"protocol", "PSNR dB", "PSNR head dB", "SSIM", "FLIP"};
     for (const auto& [name, value] : m.distances) columns.push_back(distance_title(name));
     columns.emplace_back("coverage");
     report_.add_table(columns, rows,
-                      "tracked: parameters from tracking, as the avatar's encoder corrects them; "
-                      "tracker: from tracking alone; nothing is fitted to the test image. "
-                      "refined: pose and expression fitted to the test image, the avatar frozen.");
+                      e_.tracked_name +
+                          ": parameters from tracking, as the avatar's encoder corrects them; "
+                          "tracker: from tracking alone; nothing is fitted to the test image. "
+                          "refined: pose and expression fitted to the test image, the avatar "
+                          "frozen.");
     report_.add_paragraph("Frames are 8-bit on black, scored over the whole frame. " +
                           distance_note(m));
     LinePlot plot{"PSNR by frame", "frame", "dB", {}, false, false};
-    plot.series.push_back(series("tracked", e_.tracked));
+    plot.series.push_back(series(e_.tracked_name, e_.tracked));
     plot.series.push_back(series("tracker", e_.tracker));
     if (e_.refined) plot.series.push_back(series("refined", *e_.refined));
     report_.add_line_plot(plot);
