@@ -65,6 +65,15 @@ void fill_inputs(const FrameEncoder& encoder, const Capture& capture, const RigS
 
 }  // namespace
 
+std::vector<uint8_t> encoded_entries(const Rig& rig, bool head_pose) {
+  std::vector<uint8_t> entries(
+      static_cast<size_t>(rig.expression_count + 3 * rig.joint_count() + 3), head_pose ? 1 : 0);
+  std::fill_n(entries.begin(), rig.expression_count, uint8_t{1});
+  if (const int jaw = rig.joint("jaw"); jaw >= 0)
+    std::fill_n(entries.begin() + rig.expression_count + 3 * jaw, 3, uint8_t{1});
+  return entries;
+}
+
 size_t FrameEncoder::pose_size() const {
   return static_cast<size_t>(expression_count) + 3 * static_cast<size_t>(joint_count) + 3;
 }
@@ -74,14 +83,10 @@ size_t FrameEncoder::input_size() const {
 }
 
 bool FrameEncoder::corrects_head_pose(const Rig& rig) const {
-  const size_t codes = code_size(), first = static_cast<size_t>(expression_count);
-  const int jaw = rig.joint("jaw");
-  for (size_t p = first; p < pose_size(); ++p) {
-    if (jaw >= 0 && (p - first) / 3 == static_cast<size_t>(jaw)) continue;
-    const auto row = weights.begin() + static_cast<std::ptrdiff_t>(p * codes);
-    if (std::any_of(row, row + static_cast<std::ptrdiff_t>(codes), [](float w) { return w != 0; }))
-      return true;
-  }
+  const std::vector<uint8_t> own = encoded_entries(rig, false);
+  EFFIGY_CHECK_EQ(own.size(), pose_size());
+  for (size_t i = 0; i < weights.size(); ++i)
+    if (weights[i] != 0 && own[i / code_size()] == 0) return true;
   return false;
 }
 

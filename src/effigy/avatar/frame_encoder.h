@@ -31,7 +31,7 @@ struct FrameEncoder {
   size_t input_size() const;  // D
   size_t code_size() const { return input_size() > 0 ? projection.size() / input_size() : 0; }
 
-  // Whether it corrects more than expression and jaw of `rig`, the only ones that the paper's does.
+  // Whether it corrects more than encoded_entries(rig, false).
   bool corrects_head_pose(const Rig& rig) const;
   // D inputs of a frame of `capture`, whose rig must have the encoder's expressions and joints.
   // Landmarks or scores that the capture lacks are as in the mean, so that they say nothing.
@@ -45,6 +45,10 @@ struct FrameEncoder {
   void backward(std::span<const float> code, std::span<const float> d_pose,
                 std::span<float> d_weights) const;
 };
+
+// Which of a pose's P entries an encoder may correct: expression and jaw, as the paper's; all of
+// them with `head_pose`.
+std::vector<uint8_t> encoded_entries(const Rig& rig, bool head_pose);
 
 // The poses of `frames` as the encoder corrects the tracked ones.
 std::vector<RigPose> encoded_poses(const FrameEncoder& encoder, const Capture& capture,

@@ -4,14 +4,12 @@
 #include <cmath>
 
 #include "effigy/base/error.h"
-#include "effigy/base/threads.h"
 #include "effigy/body/harmonics.h"
 #include "effigy/light/zonal.h"
 
 namespace effigy {
 namespace {
 
-constexpr size_t kGrain = 2048;
 constexpr float kStartAlbedo = 0.5f, kStartRoughness = 0.2f;
 constexpr const char* kAlbedo = "maps.albedo";
 constexpr const char* kRoughness = "maps.log_roughness";
@@ -95,9 +93,7 @@ void BodyModel::pose(const BodyMoment& moment, std::span<const float> normals) {
         surface_.placed.normal[c * n + i] = frames_.rotation[9 * i + 3 * c + 2];
   surface_.albedo = maps_.albedo;
   surface_.roughness.resize(n);
-  parallel_for(n, kGrain, [&](size_t begin, size_t end, int) {
-    for (size_t i = begin; i < end; ++i) surface_.roughness[i] = std::exp(maps_.log_roughness[i]);
-  });
+  for (size_t i = 0; i < n; ++i) surface_.roughness[i] = std::exp(maps_.log_roughness[i]);
 }
 
 void BodyModel::light(std::span<const float> irradiance) {

@@ -50,14 +50,6 @@ void unpack_pose(std::span<const float> flat, RigPose& pose) {
   std::copy_n(at, 3, pose.translation.begin());
 }
 
-std::vector<uint8_t> encoded_entries(const Rig& rig, bool head_pose) {
-  std::vector<uint8_t> entries(pose_size(rig), head_pose ? 1 : 0);
-  std::fill_n(entries.begin(), rig.expression_count, uint8_t{1});
-  if (const int jaw = rig.joint("jaw"); jaw >= 0)
-    std::fill_n(entries.begin() + rig.expression_count + 3 * jaw, 3, uint8_t{1});
-  return entries;
-}
-
 UvMask uv_mask(const Mesh& mesh, int size) {
   return UvMask(uv_coverage(mesh, size, 1), size, size, true);
 }

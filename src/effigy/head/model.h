@@ -30,9 +30,6 @@ size_t pose_size(const Rig& rig);
 void pack_pose(const RigPose& pose, std::span<float> flat);
 void unpack_pose(std::span<const float> flat, RigPose& pose);
 
-// Which of these entries the encoder may correct: expression and jaw; all of them with `head_pose`.
-std::vector<uint8_t> encoded_entries(const Rig& rig, bool head_pose);
-
 // UV islands of the rig at the texture size, grown by a texel so that bilinear lookups at borders
 // stay inside.
 UvMask uv_mask(const Mesh& mesh, int size);

@@ -18,7 +18,8 @@ at::Tensor convolve(const at::Tensor& x, const at::Tensor& weight, const at::Ten
 at::Tensor convolve_frozen(const at::Tensor& x, const at::Tensor& weight, const at::Tensor& bias,
                            int64_t padding);
 
-// Threads that libtorch may use for work of the calling thread. Few: they would fight with ours.
+// Threads that libtorch may use for work of the calling thread. It works on the same team as
+// base/threads.h: one size throughout a piece of work, because changing it makes small layers slow.
 void use_torch_threads(int count);
 
 }  // namespace effigy
