@@ -158,9 +158,10 @@ class GatherPixels : public Function<GatherPixels> {
   }
 };
 
-// [h, w, c] <-> the [1, c, h, w] that libtorch's operators see, channels last: nothing moves.
+// [h, w, c] <-> the [1, c, h, w] that libtorch's operators see, channels last: nothing moves. The
+// batch comes first: its stride is one of the signs by which they tell that channels are last.
 at::Tensor as_batch(const at::Tensor& picture) {
-  return picture.permute({2, 0, 1}).unsqueeze(0);
+  return picture.unsqueeze(0).permute({0, 3, 1, 2});
 }
 at::Tensor as_picture(const at::Tensor& batch) {
   return batch.squeeze(0).permute({1, 2, 0});

@@ -95,7 +95,6 @@ class ConvLayer {
  private:
   at::Tensor v_, g_, bias_;
   double slope_;
-  bool tied_;
 };
 
 // Transposed convolution 4x4, stride 2, padding 1 (up_convolution.h):
@@ -109,7 +108,6 @@ class UpLayer {
  private:
   at::Tensor v_, g_, bias_;
   double slope_;
-  bool tied_;
 };
 
 // g_o V / |V| along dimension `out` of V, which has g's length.
