@@ -21,39 +21,29 @@ uint32_t sortable(float x) {
   return (bits & 0x80000000u) ? ~bits : bits | 0x80000000u;
 }
 
-// One stable pass over the bits from `shift` on. Each slot counts and moves its own range; within a
-// bucket the slots' shares follow each other, so the result does not depend on their number.
-void radix_pass(int shift, const std::vector<uint32_t>& keys, const std::vector<uint32_t>& index,
-                std::vector<uint32_t>& to_keys, std::vector<uint32_t>& to_index,
-                std::vector<uint32_t>& count, int slots) {
-  const size_t n = keys.size(), parts = static_cast<size_t>(slots);
-  const auto bucket = [&](size_t i) { return (keys[i] >> shift) & (kBuckets - 1); };
-  count.assign(parts * kBuckets, 0);
-  run_slots(slots, [&](int slot) {
+}  // namespace
+
+// Each slot counts and moves its own range; within a bucket the slots' shares follow each other, so
+// the result does not depend on their number.
+void DepthSort::radix_pass(int shift, int slots) {
+  const size_t n = items_.size(), parts = static_cast<size_t>(slots);
+  next_.resize(n);
+  count_.assign(parts * kBuckets, 0);
+  const auto each = [&](int slot, const auto& body) {
     const size_t part = static_cast<size_t>(slot);
-    uint32_t* mine = count.data() + part * kBuckets;
-    for (size_t i = n * part / parts; i < n * (part + 1) / parts; ++i) ++mine[bucket(i)];
-  });
+    uint32_t* const mine = count_.data() + part * kBuckets;
+    for (size_t i = n * part / parts; i < n * (part + 1) / parts; ++i)
+      body(items_[i], mine[(items_[i].key >> shift) & (kBuckets - 1)]);
+  };
+  run_slots(slots, [&](int slot) { each(slot, [](Item, uint32_t& count) { ++count; }); });
   uint32_t sum = 0;
   for (size_t b = 0; b < kBuckets; ++b)
-    for (size_t part = 0; part < parts; ++part) {
-      uint32_t& c = count[part * kBuckets + b];
-      const uint32_t share = c;
-      c = sum;
-      sum += share;
-    }
-  run_slots(slots, [&](int slot) {
-    const size_t part = static_cast<size_t>(slot);
-    uint32_t* mine = count.data() + part * kBuckets;
-    for (size_t i = n * part / parts; i < n * (part + 1) / parts; ++i) {
-      const uint32_t to = mine[bucket(i)]++;
-      to_keys[to] = keys[i];
-      to_index[to] = index[i];
-    }
-  });
+    for (size_t part = 0; part < parts; ++part)
+      sum += std::exchange(count_[part * kBuckets + b], sum);
+  run_slots(slots,
+            [&](int slot) { each(slot, [&](Item item, uint32_t& to) { next_[to++] = item; }); });
+  items_.swap(next_);
 }
-
-}  // namespace
 
 void DepthSort::gather(const std::vector<uint8_t>& seen, const std::vector<double>& depth,
                        int slots) {
@@ -83,32 +73,32 @@ void DepthSort::gather(const std::vector<uint8_t>& seen, const std::vector<doubl
     all.most = std::max(all.most, share.most);
     all.count += std::exchange(share.count, all.count);  // becomes the place of the slot's first
   }
-  for (auto* array : {&keys_, &index_, &next_keys_, &next_}) array->resize(all.count);
+  items_.resize(all.count);
   // Two passes are enough to bring splats of about the same depth together.
   int drop = 0;
   while (all.count > 0 && (all.most - all.least) >> drop >= kBuckets * kBuckets) ++drop;
   run_slots(slots, [&](int slot) {
     size_t to = shares[static_cast<size_t>(slot)].count;
     each(slot, [&](size_t i, uint32_t key) {
-      keys_[to] = (key - all.least) >> drop;
-      index_[to++] = static_cast<uint32_t>(i);
+      items_[to++] = {(key - all.least) >> drop, static_cast<uint32_t>(i)};
     });
   });
 }
 
-void DepthSort::settle(const std::vector<double>& depth, int slots) {
-  const size_t n = keys_.size(), parts = static_cast<size_t>(slots);
+void DepthSort::settle(const std::vector<double>& depth, int slots, std::vector<uint32_t>& order) {
+  const size_t n = items_.size(), parts = static_cast<size_t>(slots);
+  order.resize(n);
   run_slots(slots, [&](int slot) {
     const size_t part = static_cast<size_t>(slot), last = n * (part + 1) / parts;
     size_t begin = n * part / parts;
     // Equal keys belong to the slot of their first.
-    while (begin > 0 && begin < last && keys_[begin] == keys_[begin - 1]) ++begin;
+    while (begin > 0 && begin < last && items_[begin].key == items_[begin - 1].key) ++begin;
     while (begin < last) {
-      size_t end = begin + 1;
-      while (end < n && keys_[end] == keys_[begin]) ++end;
+      size_t end = begin;
+      for (; end < n && items_[end].key == items_[begin].key; ++end) order[end] = items_[end].index;
       if (end - begin > 1)
-        std::stable_sort(index_.begin() + static_cast<std::ptrdiff_t>(begin),
-                         index_.begin() + static_cast<std::ptrdiff_t>(end),
+        std::stable_sort(order.begin() + static_cast<std::ptrdiff_t>(begin),
+                         order.begin() + static_cast<std::ptrdiff_t>(end),
                          [&](uint32_t a, uint32_t b) { return depth[a] < depth[b]; });
       begin = end;
     }
@@ -119,13 +109,8 @@ void DepthSort::sort(const std::vector<uint8_t>& seen, const std::vector<double>
                      std::vector<uint32_t>& order) {
   const int slots = std::clamp(static_cast<int>(seen.size() / kGrain), 1, thread_count());
   gather(seen, depth, slots);
-  for (int pass = 0; pass < 2 && keys_.size() > 1; ++pass) {
-    radix_pass(pass * kBits, keys_, index_, next_keys_, next_, count_, slots);
-    keys_.swap(next_keys_);
-    index_.swap(next_);
-  }
-  settle(depth, slots);
-  order.swap(index_);
+  for (int pass = 0; pass < 2 && items_.size() > 1; ++pass) radix_pass(pass * kBits, slots);
+  settle(depth, slots, order);
 }
 
 }  // namespace effigy

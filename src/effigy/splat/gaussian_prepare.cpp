@@ -222,6 +222,68 @@ inline double log2_of(float x) {
   }
 }
 
+// Where a block's Gaussians lie among the tiles.
+struct Covers {
+  int32_t row[kBlock], last_row[kBlock];
+  int32_t first[TileCover::kRows][kBlock], last[TileCover::kRows][kBlock];
+};
+
+// As for_each_span finds them, for the first rows of tiles.
+[[gnu::always_inline]] inline void cover(const Camera& camera, const Drawn& d, Covers& c) {
+  // pixels_between; comparisons with NaN are false, so it becomes the lower limit.
+  const auto first_pixel = [](float low, float limit) {
+    low = low > 0.0f ? low : 0.0f;
+    return static_cast<int32_t>((low < limit ? low : limit) + 0.499f);
+  };
+  const auto last_pixel = [](float high, float limit) {
+    high = high > -0.5f ? high : -0.5f;
+    return static_cast<int32_t>((high < limit ? high : limit) + 0.501f) - 1;
+  };
+  const auto width = static_cast<float>(camera.width), height = static_cast<float>(camera.height);
+  for (size_t i = 0; i < kBlock; ++i) {
+    const float y = d.anchor_y[i] + d.y[i];
+    const int32_t first = first_pixel(y - d.half_y[i], height);
+    const int32_t last = last_pixel(y + d.half_y[i], height);
+    c.row[i] = first / kTileSize;
+    c.last_row[i] = first <= last ? last / kTileSize : first / kTileSize - 1;
+  }
+  for (int r = 0; r < TileCover::kRows; ++r) {
+    for (size_t i = 0; i < kBlock; ++i) {
+      // ellipse_in_band
+      const float top = static_cast<float>((c.row[i] + r) * kTileSize) - d.anchor_y[i] - d.y[i];
+      const float half_y = d.half_y[i], low = top + 0.5f, high = top + (kTileSize - 0.5f);
+      const float d0 = low > -half_y ? low : -half_y, d1 = high < half_y ? high : half_y;
+      const auto clamped = [&](float dy) {
+        dy = dy > d0 ? dy : d0;
+        return dy < d1 ? dy : d1;
+      };
+      const auto half = [&](float dy) {
+        const float rest = 1.0f - dy * dy * d.inverse_yy[i];
+        return std::sqrt(d.k[i] * (rest > 0.0f ? rest : 0.0f));
+      };
+      const float x = d.anchor_x[i] + d.x[i];
+      const float at_right = clamped(d.extreme_dy[i]), at_left = clamped(-d.extreme_dy[i]);
+      const float right = x + d.slope[i] * at_right + half(at_right);
+      const float left = x + d.slope[i] * at_left - half(at_left);
+      const int32_t first = first_pixel(left, width), last = last_pixel(right, width);
+      const bool some = (d0 <= d1) & (first <= last);
+      c.first[r][i] = some ? first / kTileSize : 1;
+      c.last[r][i] = some ? last / kTileSize : 0;
+    }
+  }
+}
+
+inline void make_cover(const Covers& c, size_t i, bool everywhere, TileCover& cover) {
+  const int rows = c.last_row[i] - c.row[i] + 1;
+  cover.row = static_cast<uint16_t>(c.row[i]);
+  cover.rows =
+      everywhere || rows > TileCover::kRows ? TileCover::kMore : static_cast<uint16_t>(rows);
+  for (int r = 0; r < TileCover::kRows; ++r) {
+    cover.first[r] = static_cast<uint16_t>(c.first[r][i]);
+    cover.last[r] = static_cast<uint16_t>(c.last[r][i]);
+  }
+}
+
 // Whether Gaussian `i` of a block, with its opacity as it is drawn, can be drawn and seen.
 inline bool is_seen(const Projected& p, const Drawn& d, size_t i, float opacity, double near) {
   return p.z[i] > near && p.k[i] > kSmallest && p.yy[i] > kSmallest &&
@@ -262,6 +324,7 @@ void project_range(const Projector& of_frame, const Camera& camera, const Gaussi
   Inputs in;
   Projected out;
   Drawn drawn;
+  Covers covers;
   FloatLane opacity;
   uint32_t index[kBlock];
   for (size_t first = begin; first < end; first += kBlock) {
@@ -273,13 +336,16 @@ void project_range(const Projector& of_frame, const Camera& camera, const Gaussi
     for (size_t i = 0; options.compensate && i < kBlock; ++i)
       opacity[i] *= static_cast<float>(std::sqrt(out.bare_det[i] / out.det[i]));
     outline(camera, projector, out, opacity, drawn);
+    cover(camera, drawn, covers);
     for (size_t i = 0; i < count; ++i) {
       const size_t s = first + i;
       list.depth[s] = out.z[i];
       list.seen[s] =
           is_seen(out, drawn, i, opacity[i], static_cast<double>(options.near)) &&
           finite(g.features, s * static_cast<size_t>(g.channels), static_cast<size_t>(g.channels));
-      if (list.seen[s]) make_record(drawn, i, list.records[s]);
+      if (!list.seen[s]) continue;
+      make_record(drawn, i, list.records[s]);
+      make_cover(covers, i, list.records[s].outline.everywhere, list.covers[s]);
     }
   }
 }
@@ -447,6 +513,7 @@ void prepare_gaussians(const Camera& camera, const GaussianView& gaussians,
   const size_t n = gaussians.count();
   const Projector projector(camera, options);
   list.records.resize(n);
+  list.covers.resize(n);
   list.seen.resize(n);
   list.depth.resize(n);
   parallel_for(n, 1024, [&](size_t begin, size_t end, int) {

@@ -24,8 +24,24 @@ struct alignas(64) GaussianRecord {
   float log2_opacity;
 };
 
+// The tiles that a small Gaussian reaches, found when it is projected.
+struct TileCover {
+  static constexpr int kRows = 2;        // rows of tiles that fit
+  static constexpr uint16_t kMore = ~0;  // `rows` of a Gaussian that reaches further
+  uint16_t row, rows;                    // first and number
+  uint16_t first[kRows], last[kRows];    // columns; none in a row where last < first
+
+  // Calls emit(tile row, first column, last column) for every row; rows != kMore.
+  template <class Emit>
+  void for_each_span(const Emit& emit) const {
+    for (int r = 0; r < rows; ++r)
+      if (first[r] <= last[r]) emit(row + r, first[r], last[r]);
+  }
+};
+
 struct GaussianList {
   std::vector<GaussianRecord> records;  // per Gaussian of the view; only of those seen
+  std::vector<TileCover> covers;        // likewise
   std::vector<uint8_t> seen;
   std::vector<double> depth;
   std::vector<uint32_t> order;  // of those seen, by depth, ties by index

@@ -111,11 +111,14 @@ void render_gaussians(const Camera& camera, const GaussianView& gaussians,
   image.data.resize(image.pixels() * static_cast<size_t>(image.count));
   prepare_gaussians(camera, gaussians, options, state.list);
   const std::vector<GaussianRecord>& records = state.list.records;
+  const std::vector<TileCover>& covers = state.list.covers;
   const std::vector<uint32_t>& order = state.list.order;
-  bin_splats(order.size(), order.data(), camera.width, camera.height, true, state.bins,
+  bin_splats(order.size(), order.data(), camera.width, camera.height, state.bins,
              [&](size_t k, const auto& emit) {
                constexpr size_t kAhead = 16;
-               if (k + kAhead < order.size()) __builtin_prefetch(&records[order[k + kAhead]]);
+               if (k + kAhead < order.size()) __builtin_prefetch(&covers[order[k + kAhead]]);
+               const TileCover& cover = covers[order[k]];
+               if (cover.rows != TileCover::kMore) return cover.for_each_span(emit);
                const GaussianRecord& r = records[order[k]];
                for_each_span(r.anchor_x, r.anchor_y, r.outline, camera.width, camera.height, emit);
              });
@@ -163,6 +166,7 @@ void render_gaussians_backward(const Camera& camera, const GaussianView& gaussia
   scene.plane_size = image.pixels();
   scene.row_size = static_cast<size_t>(image.width);
   const size_t stride = GaussianSums::kCount + channels;
+  place_entries(state.list.order.size(), state.bins);
   state.entry_sums.resize(state.bins.entries.size() * stride);
   const bool wanted = !gradients.background.empty();
   std::vector<float> d_background(wanted ? static_cast<size_t>(state.bins.count()) * channels

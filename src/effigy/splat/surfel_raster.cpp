@@ -52,7 +52,7 @@ void check_arguments(const Camera& camera, const PosedSurfels& s) {
 
 // The lists of the tiles.
 void bin_surfels(const SurfelView& view, const Camera& camera, TileBins& bins) {
-  bin_splats(view.records.size(), nullptr, camera.width, camera.height, false, bins,
+  bin_splats(view.records.size(), nullptr, camera.width, camera.height, bins,
              [&](size_t i, const auto& emit) {
                const SurfelRecord& r = view.records[i];
                for_each_span(r.anchor_x, r.anchor_y, view.outlines[i], camera.width, camera.height,

@@ -51,6 +51,17 @@ SplatTile make_tile(const Camera& camera, const TileBins& bins, int tile) {
 
 namespace detail {
 
+// Calls body(span, entry) for the slot's entries in the order of its splats; `next`: the next entry
+// of each tile, left behind the last.
+template <class Body>
+void for_each_entry(const TileBins& bins, size_t slot, std::vector<uint32_t>& next,
+                    const Body& body) {
+  for (const TileSpan& span : bins.spans[slot]) {
+    uint32_t* row = next.data() + static_cast<size_t>(span.row) * static_cast<size_t>(bins.columns);
+    for (int tx = span.first; tx <= span.last; ++tx) body(span, row[tx]++);
+  }
+}
+
 void begin_bins(int width, int height, size_t slots, TileBins& bins) {
   bins.columns = (width + kTileSize - 1) / kTileSize;
   bins.rows = (height + kTileSize - 1) / kTileSize;
@@ -62,10 +73,9 @@ void begin_bins(int width, int height, size_t slots, TileBins& bins) {
   }
 }
 
-void finish_bins(size_t splats, const uint32_t* ids, bool places, TileBins& bins) {
+void finish_bins(const uint32_t* ids, TileBins& bins) {
   const size_t tiles = static_cast<size_t>(bins.count()), slots = bins.spans.size();
   bins.begin.resize(tiles + 1);
-  std::vector<uint64_t> place(slots + 1, 0);  // of each slot's first span
   uint64_t sum = 0;
   for (size_t t = 0; t < tiles; ++t) {
     bins.begin[t] = static_cast<uint32_t>(sum);
@@ -73,7 +83,6 @@ void finish_bins(size_t splats, const uint32_t* ids, bool places, TileBins& bins
       const uint32_t share = bins.next[s][t];
       bins.next[s][t] = static_cast<uint32_t>(sum);
       sum += share;
-      place[s + 1] += share;
     }
     if (sum > 0x7fffffffu)
       throw Error(
@@ -81,34 +90,45 @@ void finish_bins(size_t splats, const uint32_t* ids, bool places, TileBins& bins
           "large for this image.");
   }
   bins.begin[tiles] = static_cast<uint32_t>(sum);
-  for (size_t s = 0; s < slots; ++s) place[s + 1] += place[s];
   bins.entries.resize(sum);
-  bins.places.resize(places ? sum : 0);
-  bins.first_place.resize(places ? splats + 1 : 0);
+  bins.places.clear();
   run_slots(static_cast<int>(slots), [&](int slot) {
     const auto s = static_cast<size_t>(slot);
-    auto at = static_cast<uint32_t>(place[s]);
-    size_t splat = splats * s / slots;
-    for (const TileSpan& span : bins.spans[s]) {
-      uint32_t* next =
-          bins.next[s].data() + static_cast<size_t>(span.row) * static_cast<size_t>(bins.columns);
-      const uint32_t id = ids ? ids[span.splat] : span.splat;
-      if (!places) {
-        for (int tx = span.first; tx <= span.last; ++tx) bins.entries[next[tx]++] = id;
-        continue;
-      }
-      while (splat <= span.splat) bins.first_place[splat++] = at;
-      for (int tx = span.first; tx <= span.last; ++tx) {
-        const uint32_t entry = next[tx]++;
-        bins.entries[entry] = id;
-        bins.places[entry] = at++;
-      }
-    }
-    if (places)
-      while (splat < splats * (s + 1) / slots) bins.first_place[splat++] = at;
+    for_each_entry(bins, s, bins.next[s], [&](const TileSpan& span, uint32_t entry) {
+      bins.entries[entry] = ids ? ids[span.splat] : span.splat;
+    });
   });
-  if (places) bins.first_place[splats] = static_cast<uint32_t>(sum);
 }
 
 }  // namespace detail
+
+void place_entries(size_t splats, TileBins& bins) {
+  if (!bins.places.empty()) return;
+  const size_t tiles = static_cast<size_t>(bins.count()), slots = bins.spans.size();
+  // finish_bins has left each slot's counters behind its last entry, where the next slot's begin.
+  std::vector<std::vector<uint32_t>> next(slots);
+  std::vector<uint32_t> first(slots + 1, 0);  // place of each slot
+  for (size_t s = 0; s < slots; ++s) {
+    next[s].resize(tiles);
+    first[s + 1] = first[s];
+    for (size_t t = 0; t < tiles; ++t) {
+      next[s][t] = s == 0 ? bins.begin[t] : bins.next[s - 1][t];
+      first[s + 1] += bins.next[s][t] - next[s][t];
+    }
+  }
+  bins.places.resize(bins.entries.size());
+  bins.first_place.resize(splats + 1);
+  run_slots(static_cast<int>(slots), [&](int slot) {
+    const auto s = static_cast<size_t>(slot);
+    uint32_t at = first[s];
+    size_t splat = splats * s / slots;
+    detail::for_each_entry(bins, s, next[s], [&](const TileSpan& span, uint32_t entry) {
+      while (splat <= span.splat) bins.first_place[splat++] = at;
+      bins.places[entry] = at++;
+    });
+    while (splat < splats * (s + 1) / slots) bins.first_place[splat++] = at;
+  });
+  bins.first_place[splats] = first[slots];
+}
+
 }  // namespace effigy

@@ -36,11 +36,11 @@ struct TileBins {
   int columns = 0, rows = 0;
   std::vector<uint32_t> begin;    // columns * rows + 1
   std::vector<uint32_t> entries;  // ids of splats
-  // Only when asked for: every entry has a place, those of splat k in order of depth are
-  // first_place[k] ..
-  // first_place[k + 1].
+  // After place_entries: every entry has a place, those of splat k in order of depth are
+  // first_place[k] .. first_place[k + 1].
   std::vector<uint32_t> places, first_place;
-  // Scratch of bin_splats, kept to keep its memory; of every slot.
+  // Of every slot: what it found, and scratch of bin_splats; kept for place_entries and to keep
+  // their memory.
   std::vector<std::vector<TileSpan>> spans;
   std::vector<std::vector<uint32_t>> next;
   int count() const { return columns * rows; }
@@ -62,7 +62,7 @@ namespace detail {
 // Sizes the lists of `slots` slots.
 void begin_bins(int width, int height, size_t slots, TileBins& bins);
 // From each slot's spans and counts (next) to the lists.
-void finish_bins(size_t splats, const uint32_t* ids, bool places, TileBins& bins);
+void finish_bins(const uint32_t* ids, TileBins& bins);
 
 }  // namespace detail
 
@@ -70,8 +70,8 @@ void finish_bins(size_t splats, const uint32_t* ids, bool places, TileBins& bins
 // for every row of tiles that splat k in order of depth reaches; it is called from several threads.
 // `ids`: what the lists hold for each splat; null: k itself.
 template <class Find>
-void bin_splats(size_t splats, const uint32_t* ids, int width, int height, bool places,
-                TileBins& bins, const Find& find) {
+void bin_splats(size_t splats, const uint32_t* ids, int width, int height, TileBins& bins,
+                const Find& find) {
   constexpr size_t kGrain = 2048;
   const size_t slots = std::clamp<size_t>(splats / kGrain, 1, static_cast<size_t>(thread_count()));
   detail::begin_bins(width, height, slots, bins);
@@ -84,11 +84,18 @@ void bin_splats(size_t splats, const uint32_t* ids, int width, int height, bool 
       find(i, [&](int row, int first, int last) {
         spans.push_back({static_cast<uint32_t>(i), static_cast<uint16_t>(row),
                          static_cast<uint16_t>(first), static_cast<uint16_t>(last)});
-        for (int tx = first; tx <= last; ++tx) ++counts[row * bins.columns + tx];
+        // Whether there is a second column cannot be foreseen, so no branch asks for it.
+        uint32_t* const tiles = counts + row * bins.columns;
+        ++tiles[first];
+        for (int tx = first + 1; tx < last; ++tx) ++tiles[tx];
+        tiles[last] += last != first;
       });
   });
-  detail::finish_bins(splats, ids, places, bins);
+  detail::finish_bins(ids, bins);
 }
+
+// Gives each entry of bin_splats' lists its place, unless that has been done. `splats`: as there.
+void place_entries(size_t splats, TileBins& bins);
 
 // Pixels first..last whose centres lie in [low, high], cut to the image; none when last < first.
 struct PixelRange {
