@@ -57,12 +57,6 @@ MaterialTexture make_texture(int size) {
   return texture;
 }
 
-double seconds_of(const std::function<void()>& work) {
-  const auto start = std::chrono::steady_clock::now();
-  work();
-  return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-}
-
 BenchResult constant(const std::string& name, double value) {
   return {name, value, value, value, thread_count()};
 }
@@ -74,8 +68,7 @@ BenchResult measure(const std::string& name, int repeats, double scale,
   work();
   std::vector<double> times;
   for (int k = 0; k < std::max(1, repeats); ++k) times.push_back(scale * seconds_of(work));
-  std::sort(times.begin(), times.end());
-  return {name, times[times.size() / 2], times.front(), times.back(), thread_count()};
+  return summarise(name, std::move(times));
 }
 
 BenchScene make_bench_scene(const BenchOptions& options) {

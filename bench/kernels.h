@@ -52,7 +52,9 @@ GaussianBenchScene make_gaussian_bench_scene(int count, int channels);
 
 // gaussian.forward.{10k,80k}_ms, gaussian.forward_backward.{10k,80k}_ms (RGB, projection included)
 // and gaussian.channels10.* (ten channels): milliseconds a frame; gaussian.pairs.{10k,80k}: what is
-// blended in it; gaussian.threads: time of one thread over time of all, forward with backward, 80k.
+// blended in it; gaussian.threads: time of one thread over time of all, forward with backward, 80k;
+// gaussian.{80k_over_10k,channels10_over_rgb.{10k,80k}}: ratios of forward. All take turns, and
+// ratios are of neighbours.
 std::vector<BenchResult> bench_gaussians(int repeats);
 
 }  // namespace effigy

@@ -43,11 +43,6 @@ struct Times {
   }
 };
 
-BenchResult summarise(const std::string& name, std::vector<double> values) {
-  std::sort(values.begin(), values.end());
-  return {name, values[values.size() / 2], values.front(), values.back(), thread_count()};
-}
-
 std::vector<float> random_floats(size_t count, uint64_t stream) {
   Random random(1, stream);
   std::vector<float> values(count);

@@ -1,10 +1,7 @@
 #include "effigy/cli/bench_figures.h"
 
-#include <algorithm>
-#include <chrono>
 #include <cstdio>
 
-#include "effigy/base/threads.h"
 #include "effigy/cli/command_line.h"
 
 namespace effigy {
@@ -23,21 +20,15 @@ void print_figures(const std::vector<BenchResult>& figures, bool json) {
   print_json(object);
 }
 
-BenchResult summarise(const std::string& name, std::vector<double> values) {
-  std::sort(values.begin(), values.end());
-  return {name, values[values.size() / 2], values.front(), values.back(), thread_count()};
-}
-
 BenchResult frames_per_second(const std::string& name, int repeats,
                               const std::function<void(int)>& draw) {
   constexpr int kFrames = 20;
-  using Clock = std::chrono::steady_clock;
   for (int i = 0; i < 3; ++i) draw(i);
   std::vector<double> rates;
   for (int r = 0; r < repeats; ++r) {
-    const auto begin = Clock::now();
-    for (int i = 0; i < kFrames; ++i) draw(r * kFrames + i);
-    rates.push_back(kFrames / std::chrono::duration<double>(Clock::now() - begin).count());
+    rates.push_back(kFrames / seconds_of([&] {
+                      for (int i = 0; i < kFrames; ++i) draw(r * kFrames + i);
+                    }));
   }
   return summarise(name, std::move(rates));
 }

@@ -12,9 +12,6 @@ namespace effigy {
 // On standard output: a table, or one JSON object by name.
 void print_figures(const std::vector<BenchResult>& figures, bool json);
 
-// Median and ends of `values`, at least one.
-BenchResult summarise(const std::string& name, std::vector<double> values);
-
 // Frames a second in `repeats` batches of frames, drawn by draw(0), draw(1), ...
 BenchResult frames_per_second(const std::string& name, int repeats,
                               const std::function<void(int)>& draw);
