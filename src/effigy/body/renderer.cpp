@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "effigy/base/error.h"
+#include "effigy/base/threads.h"
 #include "effigy/body/losses.h"
 #include "effigy/body/trainer.h"
 #include "effigy/image/colour.h"
@@ -150,13 +151,17 @@ BodyRenderer::BodyRenderer(BodyAvatar& avatar)
 
 void BodyRenderer::set_pose(const RigPose& pose) {
   moment_ = avatar_.driver.moment(pose);
-  if (rays_ == nullptr)
-    rays_ =
-        std::make_unique<RayScene>(moment_.vertices, avatar_.rig.mesh.triangles, RayUse::kMoving);
-  else
-    rays_->move(moment_.vertices);
   const std::vector<Vec3i>& triangles = avatar_.rig.mesh.triangles;
-  const std::vector<float> normals = vertex_normals(moment_.vertices, triangles);
+  std::vector<float> normals;
+  // Neither can be split, but they can go side by side.
+  run_slots(2, [&](int slot) {
+    if (slot == 1)
+      normals = vertex_normals(moment_.vertices, triangles);
+    else if (rays_ != nullptr)
+      rays_->move(moment_.vertices);
+    else
+      rays_ = std::make_unique<RayScene>(moment_.vertices, triangles, RayUse::kMoving);
+  });
   avatar_.model.pose(moment_, normals);
   shadow_frames_ =
       texel_frames(avatar_.model.shadow_texels(), moment_.vertices, triangles, normals);
