@@ -2,7 +2,8 @@
 
 #include <algorithm>
 
-#include "effigy/body/trainer.h"
+#include "effigy/body/draw.h"
+#include "effigy/body/losses.h"
 #include "effigy/image/metrics.h"
 
 namespace effigy {

@@ -7,7 +7,6 @@
 #include "effigy/base/error.h"
 #include "effigy/base/threads.h"
 #include "effigy/body/losses.h"
-#include "effigy/body/trainer.h"
 #include "effigy/image/colour.h"
 #include "effigy/light/light_groups.h"
 #include "effigy/report/overlay.h"

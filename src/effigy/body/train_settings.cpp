@@ -2,6 +2,7 @@
 
 #include "effigy/base/error.h"
 #include "effigy/base/settings.h"
+#include "effigy/body/draw.h"
 
 namespace effigy {
 namespace {
@@ -141,6 +142,16 @@ void BodyTrainSettings::make_paper_literal() {
   explosion = 0;
   final_rate_factor = 1;
   start_from_frames = false;
+}
+
+BodyDrawOptions draw_options(const BodyTrainSettings& settings) {
+  BodyDrawOptions options;
+  options.appearance = body_appearance_named(settings.appearance);
+  options.deferred = settings.deferred;
+  options.divide_by_alpha = settings.divide_by_alpha;
+  options.raster.compensate = settings.compensate;
+  options.sg_norm = sg_norm_named(settings.sg_norm.c_str());
+  return options;
 }
 
 Json to_json(const BodyTrainSettings& settings) {

@@ -9,6 +9,8 @@
 
 namespace effigy {
 
+struct BodyDrawOptions;
+
 // Adam step sizes.
 struct BodyRates {
   double networks = 1e-3;  // Relightable Full-Body Gaussian Codec Avatars, section 3.4
@@ -87,6 +89,9 @@ struct BodyTrainSettings {
   // Sets every setting of docs/decisions.md to the paper's side.
   void make_paper_literal();
 };
+
+// How what they train is drawn.
+BodyDrawOptions draw_options(const BodyTrainSettings& settings);
 
 Json to_json(const BodyTrainSettings& settings);
 // Unknown fields are an error; missing ones keep their value in `settings`.

@@ -54,16 +54,6 @@ BodyNetworkSettings network_settings(const StageCapture& capture,
 
 }  // namespace
 
-BodyDrawOptions draw_options(const BodyTrainSettings& settings) {
-  BodyDrawOptions options;
-  options.appearance = body_appearance_named(settings.appearance);
-  options.deferred = settings.deferred;
-  options.divide_by_alpha = settings.divide_by_alpha;
-  options.raster.compensate = settings.compensate;
-  options.sg_norm = sg_norm_named(settings.sg_norm.c_str());
-  return options;
-}
-
 BodyTrainer::State::State(const StageCapture& capture_in, const BodyTrainSettings& settings_in,
                           PictureDistance perceptual_in, Ranks& ranks_in)
     : capture(capture_in),

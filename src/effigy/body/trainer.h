@@ -19,8 +19,6 @@ class Diverged : public Error {
   using Error::Error;
 };
 
-BodyDrawOptions draw_options(const BodyTrainSettings& settings);
-
 class BodyTrainer {
  public:
   // Keeps references to `capture` and `ranks`. `perceptual`: the network that settings.perceptual

@@ -3,8 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "effigy/body/draw.h"
 #include "effigy/body/renderer.h"
-#include "effigy/body/trainer.h"
 #include "effigy/image/resample.h"
 
 namespace effigy {
