@@ -166,9 +166,10 @@ struct Drawn {
 // log2 of positive numbers, absolute error below 1e-9: the series of artanh over the mantissa in
 // [1/sqrt 2, sqrt 2].
 inline double log2_of(float x) {
-  const auto bits = std::bit_cast<int32_t>(x);
-  const int32_t exponent = (bits - 0x3f3504f3) >> 23;
-  const auto mantissa = static_cast<double>(std::bit_cast<float>(bits - (exponent << 23)));
+  const auto bits = std::bit_cast<uint32_t>(x);  // unsigned: any input may come
+  const int32_t exponent = static_cast<int32_t>(bits - 0x3f3504f3u) >> 23;
+  const auto mantissa =
+      static_cast<double>(std::bit_cast<float>(bits - (static_cast<uint32_t>(exponent) << 23)));
   const double s = (mantissa - 1.0) / (mantissa + 1.0), s2 = s * s;
   const double series =
       1.0 + s2 * (1.0 / 3 + s2 * (1.0 / 5 + s2 * (1.0 / 7 + s2 * (1.0 / 9 + s2 * (1.0 / 11)))));
