@@ -1,7 +1,6 @@
 #include "kernels.h"
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <functional>
 #include <numbers>

@@ -229,47 +229,28 @@ struct Covers {
   int32_t first[TileCover::kRows][kBlock], last[TileCover::kRows][kBlock];
 };
 
+[[gnu::always_inline]] inline EllipseOutline outline_of(const Drawn& d, size_t i) {
+  return {d.x[i],          d.y[i],      d.slope[i],  d.k[i], d.inverse_yy[i],
+          d.extreme_dy[i], d.half_x[i], d.half_y[i], false};
+}
+
 // As for_each_span finds them, for the first rows of tiles.
 [[gnu::always_inline]] inline void cover(const Camera& camera, const Drawn& d, Covers& c) {
-  // pixels_between; comparisons with NaN are false, so it becomes the lower limit.
-  const auto first_pixel = [](float low, float limit) {
-    low = low > 0.0f ? low : 0.0f;
-    return static_cast<int32_t>((low < limit ? low : limit) + 0.499f);
-  };
-  const auto last_pixel = [](float high, float limit) {
-    high = high > -0.5f ? high : -0.5f;
-    return static_cast<int32_t>((high < limit ? high : limit) + 0.501f) - 1;
-  };
-  const auto width = static_cast<float>(camera.width), height = static_cast<float>(camera.height);
   for (size_t i = 0; i < kBlock; ++i) {
     const float y = d.anchor_y[i] + d.y[i];
-    const int32_t first = first_pixel(y - d.half_y[i], height);
-    const int32_t last = last_pixel(y + d.half_y[i], height);
-    c.row[i] = first / kTileSize;
-    c.last_row[i] = first <= last ? last / kTileSize : first / kTileSize - 1;
+    const PixelRange rows = pixels_between(y - d.half_y[i], y + d.half_y[i], camera.height);
+    c.row[i] = rows.first / kTileSize;
+    c.last_row[i] = rows.first <= rows.last ? rows.last / kTileSize : c.row[i] - 1;
   }
   for (int r = 0; r < TileCover::kRows; ++r) {
     for (size_t i = 0; i < kBlock; ++i) {
-      // ellipse_in_band
-      const float top = static_cast<float>((c.row[i] + r) * kTileSize) - d.anchor_y[i] - d.y[i];
-      const float half_y = d.half_y[i], low = top + 0.5f, high = top + (kTileSize - 0.5f);
-      const float d0 = low > -half_y ? low : -half_y, d1 = high < half_y ? high : half_y;
-      const auto clamped = [&](float dy) {
-        dy = dy > d0 ? dy : d0;
-        return dy < d1 ? dy : d1;
-      };
-      const auto half = [&](float dy) {
-        const float rest = 1.0f - dy * dy * d.inverse_yy[i];
-        return std::sqrt(d.k[i] * (rest > 0.0f ? rest : 0.0f));
-      };
-      const float x = d.anchor_x[i] + d.x[i];
-      const float at_right = clamped(d.extreme_dy[i]), at_left = clamped(-d.extreme_dy[i]);
-      const float right = x + d.slope[i] * at_right + half(at_right);
-      const float left = x + d.slope[i] * at_left - half(at_left);
-      const int32_t first = first_pixel(left, width), last = last_pixel(right, width);
-      const bool some = (d0 <= d1) & (first <= last);
-      c.first[r][i] = some ? first / kTileSize : 1;
-      c.last[r][i] = some ? last / kTileSize : 0;
+      const float top = static_cast<float>((c.row[i] + r) * kTileSize) - d.anchor_y[i] + 0.5f;
+      const EllipseBand band = ellipse_in_band(outline_of(d, i), top, top + (kTileSize - 1));
+      const PixelRange columns =
+          pixels_between(d.anchor_x[i] + band.left, d.anchor_x[i] + band.right, camera.width);
+      const bool some = columns.first <= columns.last;
+      c.first[r][i] = some ? columns.first / kTileSize : 1;
+      c.last[r][i] = some ? columns.last / kTileSize : 0;
     }
   }
 }
@@ -296,14 +277,7 @@ inline void make_record(const Drawn& d, size_t i, GaussianRecord& r) {
   r.anchor_x = d.anchor_x[i];
   r.anchor_y = d.anchor_y[i];
   EllipseOutline& o = r.outline;
-  o.x = d.x[i];
-  o.y = d.y[i];
-  o.slope = d.slope[i];
-  o.k = d.k[i];
-  o.inverse_yy = d.inverse_yy[i];
-  o.extreme_dy = d.extreme_dy[i];
-  o.half_x = d.half_x[i];
-  o.half_y = d.half_y[i];
+  o = outline_of(d, i);
   o.everywhere = !(o.half_x + o.half_y < kLargestOutline);
   r.a = d.a[i];
   r.b = d.b[i];

@@ -103,25 +103,36 @@ struct PixelRange {
 };
 inline PixelRange pixels_between(float low, float high, int size) {
   const float limit = static_cast<float>(size);
+  // Comparisons with NaN are false, so it becomes the lower limit. The compiler makes vectors of
+  // these, and not of std::clamp.
+  low = low > 0.0f ? low : 0.0f;
+  high = high > -0.5f ? high : -0.5f;
   // Rounding up and down by truncation, of numbers that are not negative; a centre within a
   // thousandth of a pixel of the end counts as inside.
-  return {static_cast<int>(std::clamp(low, 0.0f, limit) + 0.499f),
-          std::min(size, static_cast<int>(std::clamp(high, -0.5f, limit) + 0.501f)) - 1};
+  return {static_cast<int>((low < limit ? low : limit) + 0.499f),
+          static_cast<int>((high < limit ? high : limit) + 0.501f) - 1};
 }
 
-// Extends [left, right] by the x-range of the ellipse in rows [top, bottom].
-inline void ellipse_in_band(const EllipseOutline& o, float top, float bottom, float& left,
-                            float& right) {
-  const float d0 = std::max(top - o.y, -o.half_y), d1 = std::min(bottom - o.y, o.half_y);
-  if (d0 > d1) return;
+// The x-range of the ellipse in rows [top, bottom]; left > right: none.
+struct EllipseBand {
+  float left, right;
+};
+inline EllipseBand ellipse_in_band(const EllipseOutline& o, float top, float bottom) {
+  const float low = top - o.y, high = bottom - o.y;
+  const float d0 = low > -o.half_y ? low : -o.half_y, d1 = high < o.half_y ? high : o.half_y;
   const auto half = [&](float dy) {
-    return std::sqrt(o.k * std::max(0.0f, 1.0f - dy * dy * o.inverse_yy));
+    const float rest = 1.0f - dy * dy * o.inverse_yy;
+    return std::sqrt(o.k * (rest > 0.0f ? rest : 0.0f));
+  };
+  const auto clamped = [&](float dy) {
+    dy = dy > d0 ? dy : d0;
+    return dy < d1 ? dy : d1;
   };
   // x + slope dy + half(dy) is concave with its maximum at extreme_dy; the left side mirrors it.
-  const float at_right = std::clamp(o.extreme_dy, d0, d1);
-  const float at_left = std::clamp(-o.extreme_dy, d0, d1);
-  right = std::max(right, o.x + o.slope * at_right + half(at_right));
-  left = std::min(left, o.x + o.slope * at_left - half(at_left));
+  const float at_right = clamped(o.extreme_dy), at_left = clamped(-o.extreme_dy);
+  const float right = o.x + o.slope * at_right + half(at_right);
+  const float left = o.x + o.slope * at_left - half(at_left);
+  return {d0 <= d1 ? left : 1e30f, d0 <= d1 ? right : -1e30f};
 }
 
 // Calls emit(tile row, first tile column, last tile column) for every row of tiles in which the
@@ -159,8 +170,7 @@ void for_each_span(float anchor_x, float anchor_y, const Outline& o, int width, 
   for (int ty = first_row; ty <= last_row; ++ty) {
     const float base = static_cast<float>(ty * kTileSize) - anchor_y;
     const float top = base + 0.5f, bottom = base + kTileSize - 0.5f;
-    float left = 1e30f, right = -1e30f;
-    ellipse_in_band(o, top, bottom, left, right);
+    auto [left, right] = ellipse_in_band(o, top, bottom);
     if constexpr (kDisc) {
       const float dy = std::clamp(0.0f, top - o.disc_y, bottom - o.disc_y);
       const float rest = o.disc_squared - dy * dy;
