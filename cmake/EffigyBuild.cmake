@@ -57,9 +57,12 @@ function(effigy_test room file)
   target_compile_definitions(${target} PRIVATE
     EFFIGY_SOURCE_DIR="${PROJECT_SOURCE_DIR}" EFFIGY_BINARY_DIR="${CMAKE_BINARY_DIR}")
   add_test(NAME ${room}/${file} COMMAND ${target})
-  if(TEST_TIMEOUT)
-    set_tests_properties(${room}/${file} PROPERTIES TIMEOUT ${TEST_TIMEOUT})
-  else()
-    set_tests_properties(${room}/${file} PROPERTIES TIMEOUT 300)
+  if(NOT TEST_TIMEOUT)
+    set(TEST_TIMEOUT 300)
   endif()
+  if(EFFIGY_SANITIZE)
+    math(EXPR TEST_TIMEOUT "${TEST_TIMEOUT} * 6")  # checks cost that much
+  endif()
+  set_tests_properties(${room}/${file} PROPERTIES TIMEOUT ${TEST_TIMEOUT}
+    ENVIRONMENT "TSAN_OPTIONS=suppressions=${PROJECT_SOURCE_DIR}/tests/tsan.supp")
 endfunction()
