@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "effigy/base/log.h"
 #include "effigy/base/progress.h"
@@ -146,16 +147,28 @@ class FrameWriter {
 
   // Where the crop leaves the video's picture there is no head.
   void clear_outside(Image8& matte) const {
-    const double sx = crop_.width / crop_.out_width, sy = crop_.height / crop_.out_height;
+    const auto [left, right] = shown(crop_.x, crop_.width, matte.width, frame_width_);
+    const auto [top, bottom] = shown(crop_.y, crop_.height, matte.height, frame_height_);
     for (int y = 0; y < matte.height; ++y) {
-      const double v = crop_.y + (y + 0.5) * sy;
-      for (int x = 0; x < matte.width; ++x) {
-        const double u = crop_.x + (x + 0.5) * sx;
-        if (u < 0.5 * sx || v < 0.5 * sy || u > frame_width_ - 0.5 * sx ||
-            v > frame_height_ - 0.5 * sy)
-          *matte.at(x, y) = 0;
-      }
+      uint8_t* row = matte.at(0, y);
+      const bool any = y >= top && y < bottom;
+      std::fill(row, row + (any ? left : matte.width), uint8_t{0});
+      if (any) std::fill(row + right, row + matte.width, uint8_t{0});
     }
+  }
+
+  // The pixels [first, end) of a crop from `start`, `size` long, which lie in a picture `whole`
+  // long, with half a pixel to spare.
+  static std::pair<int, int> shown(double start, double size, int pixels, double whole) {
+    const double step = size / pixels;
+    const auto inside = [&](int i) {
+      const double at = start + (i + 0.5) * step;
+      return at >= 0.5 * step && at <= whole - 0.5 * step;
+    };
+    int first = 0, end = pixels;
+    while (first < end && !inside(first)) ++first;
+    while (end > first && !inside(end - 1)) --end;
+    return {first, end};
   }
 
   // Maps the coarse matte's pixels of `from` to those of `to`.

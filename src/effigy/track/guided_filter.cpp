@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <memory>
 
 #include "effigy/base/error.h"
 #include "effigy/base/simd.h"
@@ -76,9 +77,10 @@ void box(const float* in, int width, int height, int channels, int radius, RowPa
     scale[x] =
         1.0f / static_cast<float>(std::min(x + radius, width - 1) - std::max(x - radius, 0) + 1);
   const size_t line = static_cast<size_t>(width) * channels;
-  std::vector<float> between(line * height), sum(line);
-  rows(in, between.data(), width, height, radius, scale.data());
-  columns_of(between.data(), out, line, height, radius, sum.data());
+  const auto between = std::make_unique_for_overwrite<float[]>(line * height);
+  std::vector<float> sum(line);
+  rows(in, between.get(), width, height, radius, scale.data());
+  columns_of(between.get(), out, line, height, radius, sum.data());
 }
 
 // Moments of one pixel: colours 0-2, their products 3-8 (rr rg rb gg gb bb), colours times matte
@@ -178,12 +180,15 @@ std::vector<float> guided_coefficients(const Image8& guide, const Image& matte, 
   EFFIGY_CHECK(guide.channels == 3 && matte.channels == 1);
   EFFIGY_CHECK(guide.width == matte.width && guide.height == matte.height);
   const size_t n = matte.data.size();
-  std::vector<float> moments(n * kMoments), means(n * kMoments);
-  fill_moments(guide.data.data(), matte.data.data(), n, moments.data());
-  box(moments.data(), matte.width, matte.height, kMoments, radius, rows_16, means.data());
-  std::vector<float> coefficients(n * kCoefficients), smooth(n * kCoefficients);
-  solve_blocks(means.data(), n, epsilon, coefficients.data());
-  box(coefficients.data(), matte.width, matte.height, kCoefficients, radius, rows_4, smooth.data());
+  // Megabytes that are written whole: not filled with zeros first.
+  const auto moments = std::make_unique_for_overwrite<float[]>(n * kMoments);
+  const auto means = std::make_unique_for_overwrite<float[]>(n * kMoments);
+  fill_moments(guide.data.data(), matte.data.data(), n, moments.get());
+  box(moments.get(), matte.width, matte.height, kMoments, radius, rows_16, means.get());
+  const auto coefficients = std::make_unique_for_overwrite<float[]>(n * kCoefficients);
+  std::vector<float> smooth(n * kCoefficients);
+  solve_blocks(means.get(), n, epsilon, coefficients.get());
+  box(coefficients.get(), matte.width, matte.height, kCoefficients, radius, rows_4, smooth.data());
   return smooth;
 }
 

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "effigy/base/error.h"
+#include "effigy/base/simd.h"
 #include "effigy/image/resample.h"
 #include "effigy/track/guided_filter.h"
 
@@ -78,29 +79,48 @@ PlaneSimilarity fit_similarity(const std::vector<double>& from, const std::vecto
   return result;
 }
 
+namespace {
+
+// Adds pixels [begin, end) of row y, taken from where `map` leads, to `sum`.
+EFFIGY_CLONES void add_moved(const float* other, int width, const PlaneSimilarity& map, int y,
+                             int begin, int end, float* sum, float* weight) {
+  const double column = -map.b * (y + 0.5) + map.u - 0.5, row = map.a * (y + 0.5) + map.v - 0.5;
+  for (int x = begin; x < end; ++x) {
+    const double sx = map.a * (x + 0.5) + column, sy = map.b * (x + 0.5) + row;
+    const int x0 = static_cast<int>(sx), y0 = static_cast<int>(sy);
+    const float fx = static_cast<float>(sx - x0), fy = static_cast<float>(sy - y0);
+    const float *p = other + (y0 * width + x0), *q = p + width;
+    sum[x] += (p[0] + fx * (p[1] - p[0])) * (1 - fy) + (q[0] + fx * (q[1] - q[0])) * fy;
+    weight[x] += 1.0f;
+  }
+}
+
+}  // namespace
+
 Image steady_matte(const Image& here, const Image* before, const PlaneSimilarity& before_from_here,
                    const Image* after, const PlaneSimilarity& after_from_here) {
+  const int width = here.width, height = here.height;
   Image out = here;
   for (float& value : out.data) value *= 2.0f;
   std::vector<float> weight(here.data.size(), 2.0f);
   const auto add = [&](const Image* other, const PlaneSimilarity& map) {
     if (other == nullptr) return;
-    EFFIGY_CHECK(other->width == here.width && other->height == here.height);
-    for (int y = 0; y < here.height; ++y)
-      for (int x = 0; x < here.width; ++x) {
-        const double px = x + 0.5, py = y + 0.5;
-        const double sx = map.a * px - map.b * py + map.u - 0.5;
-        const double sy = map.b * px + map.a * py + map.v - 0.5;
-        if (!(sx >= 0 && sy >= 0 && sx < here.width - 1 && sy < here.height - 1)) continue;
-        const int x0 = static_cast<int>(sx), y0 = static_cast<int>(sy);
-        const float fx = static_cast<float>(sx - x0), fy = static_cast<float>(sy - y0);
-        const float *p = other->at(x0, y0), *q = other->at(x0, y0 + 1);
-        const float value =
-            (p[0] + fx * (p[1] - p[0])) * (1 - fy) + (q[0] + fx * (q[1] - q[0])) * fy;
-        const size_t i = static_cast<size_t>(y) * here.width + x;
-        out.data[i] += value;
-        weight[i] += 1.0f;
-      }
+    EFFIGY_CHECK(other->width == width && other->height == height);
+    for (int y = 0; y < height; ++y) {
+      const auto inside = [&](int x) {
+        const double sx = map.a * (x + 0.5) - map.b * (y + 0.5) + map.u - 0.5;
+        const double sy = map.b * (x + 0.5) + map.a * (y + 0.5) + map.v - 0.5;
+        // Far enough from the edges that rounding another way does not leave the picture.
+        constexpr double kEdge = 1e-6;
+        return sx >= kEdge && sy >= kEdge && sx < width - 1 - kEdge && sy < height - 1 - kEdge;
+      };
+      // A line meets the picture in one stretch.
+      int begin = 0, end = width;
+      while (begin < end && !inside(begin)) ++begin;
+      while (end > begin && !inside(end - 1)) --end;
+      const size_t row = static_cast<size_t>(y) * width;
+      add_moved(other->data.data(), width, map, y, begin, end, &out.data[row], &weight[row]);
+    }
   };
   add(before, before_from_here);
   add(after, after_from_here);
@@ -157,26 +177,28 @@ std::vector<double> neck_line(const std::vector<double>& ring, int width) {
   return line;
 }
 
-// Marks what is connected with (x, y) through pixels of at least half coverage.
+// Marks what is connected with (x, y) through pixels of at least half coverage, row by row.
 std::vector<uint8_t> connected(const Image& matte, int x, int y) {
   std::vector<uint8_t> inside(matte.data.size(), 0);
   const int width = matte.width, height = matte.height;
   std::vector<int> stack;
-  const auto visit = [&](int u, int v) {
-    if (u < 0 || v < 0 || u >= width || v >= height) return;
-    const size_t i = static_cast<size_t>(v) * width + u;
-    if (inside[i] != 0 || matte.data[i] < 0.5f) return;
-    inside[i] = 1;
-    stack.push_back(static_cast<int>(i));
-  };
-  visit(x, y);
+  const auto open = [&](int i) { return inside[i] == 0 && matte.data[i] >= 0.5f; };
+  if (x >= 0 && y >= 0 && x < width && y < height && open(y * width + x))
+    stack.push_back(y * width + x);
   while (!stack.empty()) {
-    const int i = stack.back();
+    const int seed = stack.back(), row = seed / width * width;
     stack.pop_back();
-    visit(i % width - 1, i / width);
-    visit(i % width + 1, i / width);
-    visit(i % width, i / width - 1);
-    visit(i % width, i / width + 1);
+    if (!open(seed)) continue;
+    int first = seed, end = seed + 1;
+    while (first > row && open(first - 1)) --first;
+    while (end < row + width && open(end)) ++end;
+    std::fill(&inside[first], &inside[first] + (end - first), uint8_t{1});
+    for (const int step : {-width, width}) {
+      if (row + step < 0 || row + step >= width * height) continue;
+      // One seed for each stretch beside this one.
+      for (int i = first + step; i < end + step; ++i)
+        if (open(i) && (i == first + step || !open(i - 1))) stack.push_back(i);
+    }
   }
   return inside;
 }
@@ -197,13 +219,14 @@ static void cut_shoulders(const HeadRegion& region, Image& cut) {
     const double t = std::clamp(distance / region.softness + 0.5, 0.0, 1.0);
     return t * t * (3 - 2 * t);
   };
+  std::vector<double> beside(cut.width);
+  for (int x = 0; x < cut.width; ++x)
+    beside[x] = 1 - rise(x + 0.5 - left) * rise(right - (x + 0.5));
   for (int y = 0; y < cut.height; ++y) {
     const double below = rise(y + 0.5 - start);
     if (below <= 0) continue;
-    for (int x = 0; x < cut.width; ++x) {
-      const double between = rise(x + 0.5 - left) * rise(right - (x + 0.5));
-      *cut.at(x, y) *= static_cast<float>(1 - below * (1 - between));
-    }
+    float* row = cut.at(0, y);
+    for (int x = 0; x < cut.width; ++x) row[x] *= static_cast<float>(1 - below * beside[x]);
   }
 }
 
@@ -212,11 +235,15 @@ Image8 head_matte(const Image& matte, const HeadRegion& region) {
   Image cut = matte;
   if (!region.neck_ring.empty()) {
     const std::vector<double> line = neck_line(region.neck_ring, matte.width);
-    for (int y = 0; y < matte.height; ++y)
+    const double highest = *std::min_element(line.begin(), line.end());
+    for (int y = 0; y < matte.height; ++y) {
+      if (highest - (y + 0.5) >= region.softness) continue;  // nothing is cut so far up
+      float* row = cut.at(0, y);
       for (int x = 0; x < matte.width; ++x) {
         const double t = std::clamp((line[x] - (y + 0.5)) / region.softness + 0.5, 0.0, 1.0);
-        *cut.at(x, y) *= static_cast<float>(t * t * (3 - 2 * t));
+        row[x] *= static_cast<float>(t * t * (3 - 2 * t));
       }
+    }
     cut_shoulders(region, cut);
   }
   Image8 out(matte.width, matte.height, 1);
