@@ -33,8 +33,7 @@ class FrameWriter {
  public:
   FrameWriter(const ModelSet& models, const TrackOptions& options, const FitResult& fit,
               const CropBox& crop, const Path& folder, Capture& capture)
-      : options_(options),
-        fit_(fit),
+      : fit_(fit),
         crop_(crop),
         folder_(folder),
         capture_(capture),
@@ -202,7 +201,6 @@ class FrameWriter {
   }
 
  private:
-  const TrackOptions& options_;
   const FitResult& fit_;
   const CropBox& crop_;
   Path folder_;

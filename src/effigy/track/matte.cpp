@@ -246,7 +246,6 @@ Image8 head_matte(const Image& matte, const HeadRegion& region) {
     }
     cut_shoulders(region, cut);
   }
-  Image8 out(matte.width, matte.height, 1);
   const int x = static_cast<int>(region.head_x), y = static_cast<int>(region.head_y);
   const std::vector<uint8_t> inside = connected(cut, x, y);
   // Soft pixels belong to what they border on: keep those within reach of a connected one.
@@ -254,11 +253,9 @@ Image8 head_matte(const Image& matte, const HeadRegion& region) {
   const int reach = std::max(2, std::max(matte.width, matte.height) / 64);
   std::vector<float> near(inside.begin(), inside.end()), spread(near.size());
   if (any) box_mean(near, matte.width, matte.height, reach, spread);
-  for (size_t i = 0; i < out.data.size(); ++i) {
-    const bool keep = !any || spread[i] > 1e-6f;
-    out.data[i] = keep ? static_cast<uint8_t>(255.0f * cut.data[i] + 0.5f) : 0;
-  }
-  return out;
+  for (size_t i = 0; any && i < cut.data.size(); ++i)
+    if (!(spread[i] > 1e-6f)) cut.data[i] = 0;
+  return to_8bit(cut);
 }
 
 }  // namespace effigy
