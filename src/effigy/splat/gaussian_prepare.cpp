@@ -160,7 +160,7 @@ struct Drawn {
   FloatLane log2_opacity, mean_x, mean_y, anchor_x, anchor_y, x, y;
   FloatLane slope, k, inverse_yy, extreme_dy, half_x, half_y;
   FloatLane a, b, c;
-  FloatLane seen;  // 1 or 0
+  FloatLane seen, drawable;  // 1 or 0
 };
 
 // log2 of positive numbers, absolute error below 1e-9: the series of artanh over the mantissa in
@@ -266,11 +266,21 @@ inline void make_cover(const Covers& c, size_t i, bool everywhere, TileCover& co
   }
 }
 
-// Whether Gaussian `i` of a block, with its opacity as it is drawn, can be drawn and seen.
-inline bool is_seen(const Projected& p, const Drawn& d, size_t i, float opacity, double near) {
-  return p.z[i] > near && p.k[i] > kSmallest && p.yy[i] > kSmallest &&
-         p.xx[i] + p.yy[i] < kLargest && opacity >= kMinAlpha && opacity < 1e30f &&
-         std::abs(d.mean_x[i]) + std::abs(d.mean_y[i]) < 1e15f && d.seen[i] != 0.0f;
+// Sets `seen` to 1 where a Gaussian of the block, with its opacity as it is drawn, can be drawn and
+// seen, else 0.
+[[gnu::always_inline]] inline void find_seen(const Projected& p, const FloatLane opacity,
+                                             double near, Drawn& d) {
+  for (size_t i = 0; i < kBlock; ++i) {
+    const bool drawable = (p.z[i] > near) & (p.k[i] > kSmallest) & (p.yy[i] > kSmallest) &
+                          (p.xx[i] + p.yy[i] < kLargest);
+    d.drawable[i] = drawable ? 1.0f : 0.0f;
+  }
+  for (size_t i = 0; i < kBlock; ++i) {
+    const bool seen = (d.seen[i] != 0.0f) & (d.drawable[i] != 0.0f) & (opacity[i] >= kMinAlpha) &
+                      (opacity[i] < 1e30f) &
+                      (std::abs(d.mean_x[i]) + std::abs(d.mean_y[i]) < 1e15f);
+    d.seen[i] = seen ? 1.0f : 0.0f;
+  }
 }
 
 inline void make_record(const Drawn& d, size_t i, GaussianRecord& r) {
@@ -302,6 +312,11 @@ void project_range(const Projector& of_frame, const Camera& camera, const Gaussi
   Covers covers;
   FloatLane opacity;
   uint32_t index[kBlock];
+  const size_t channels = static_cast<size_t>(g.channels);
+  GaussianRecord* const records = list.records.data();
+  TileCover* const cover_of = list.covers.data();
+  double* const depth = list.depth.data();
+  uint8_t* const seen = list.seen.data();
   for (size_t first = begin; first < end; first += kBlock) {
     const size_t count = std::min(kBlock, end - first);
     for (size_t i = 0; i < count; ++i) index[i] = static_cast<uint32_t>(first + i);
@@ -312,15 +327,15 @@ void project_range(const Projector& of_frame, const Camera& camera, const Gaussi
       opacity[i] *= static_cast<float>(std::sqrt(out.bare_det[i] / out.det[i]));
     outline(camera, projector, out, opacity, drawn);
     cover(camera, drawn, covers);
+    find_seen(out, opacity, static_cast<double>(options.near), drawn);
     for (size_t i = 0; i < count; ++i) {
       const size_t s = first + i;
-      list.depth[s] = out.z[i];
-      list.seen[s] =
-          is_seen(out, drawn, i, opacity[i], static_cast<double>(options.near)) &&
-          finite(g.features, s * static_cast<size_t>(g.channels), static_cast<size_t>(g.channels));
-      if (!list.seen[s]) continue;
-      make_record(drawn, i, list.records[s]);
-      make_cover(covers, i, list.records[s].outline.everywhere, list.covers[s]);
+      depth[s] = out.z[i];
+      const bool visible = drawn.seen[i] != 0.0f && finite(g.features, s * channels, channels);
+      seen[s] = visible;
+      if (!visible) continue;
+      make_record(drawn, i, records[s]);
+      make_cover(covers, i, records[s].outline.everywhere, cover_of[s]);
     }
   }
 }

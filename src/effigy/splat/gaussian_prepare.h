@@ -31,11 +31,13 @@ struct TileCover {
   uint16_t row, rows;                    // first and number
   uint16_t first[kRows], last[kRows];    // columns; none in a row where last < first
 
-  // Calls emit(tile row, first column, last column) for every row; rows != kMore.
+  // Calls emit as find of bin_splats does; rows != kMore.
   template <class Emit>
   void for_each_span(const Emit& emit) const {
-    for (int r = 0; r < rows; ++r)
-      if (first[r] <= last[r]) emit(row + r, first[r], last[r]);
+    for (int r = 0; r < kRows; ++r) {
+      const int really = static_cast<int>(r < rows) & static_cast<int>(first[r] <= last[r]);
+      emit(really * (row + r), really * first[r], really * last[r], really != 0);
+    }
   }
 };
 

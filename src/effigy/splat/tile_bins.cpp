@@ -51,14 +51,21 @@ SplatTile make_tile(const Camera& camera, const TileBins& bins, int tile) {
 
 namespace detail {
 
-// Calls body(span, entry) for the slot's entries in the order of its splats; `next`: the next entry
-// of each tile, left behind the last.
+// Calls body(span, entry, true) for the slot's entries in the order of its splats, and, since no
+// branch asks whether there is a second column, body(span, some entry, false) where there is none.
+// `next`: the next entry of each tile, left behind the last.
 template <class Body>
 void for_each_entry(const TileBins& bins, size_t slot, std::vector<uint32_t>& next,
                     const Body& body) {
-  for (const TileSpan& span : bins.spans[slot]) {
+  const TileSpans& spans = bins.spans[slot];
+  for (size_t k = 0; k < spans.count; ++k) {
+    const TileSpan span = spans.memory[k];
     uint32_t* row = next.data() + static_cast<size_t>(span.row) * static_cast<size_t>(bins.columns);
-    for (int tx = span.first; tx <= span.last; ++tx) body(span, row[tx]++);
+    body(span, row[span.first]++, true);
+    for (int tx = span.first + 1; tx < span.last; ++tx) body(span, row[tx]++, true);
+    const bool second = span.first != span.last;
+    body(span, row[span.last], second);
+    row[span.last] += second;
   }
 }
 
@@ -68,7 +75,7 @@ void begin_bins(int width, int height, size_t slots, TileBins& bins) {
   bins.spans.resize(slots);
   bins.next.resize(slots);
   for (size_t s = 0; s < slots; ++s) {
-    bins.spans[s].clear();
+    bins.spans[s].count = 0;
     bins.next[s].assign(static_cast<size_t>(bins.count()), 0);
   }
 }
@@ -94,8 +101,10 @@ void finish_bins(const uint32_t* ids, TileBins& bins) {
   bins.places.clear();
   run_slots(static_cast<int>(slots), [&](int slot) {
     const auto s = static_cast<size_t>(slot);
-    for_each_entry(bins, s, bins.next[s], [&](const TileSpan& span, uint32_t entry) {
-      bins.entries[entry] = ids ? ids[span.splat] : span.splat;
+    uint32_t* const entries = bins.entries.data();
+    uint32_t nowhere;
+    for_each_entry(bins, s, bins.next[s], [&](const TileSpan& span, uint32_t entry, bool really) {
+      *(really ? entries + entry : &nowhere) = ids ? ids[span.splat] : span.splat;
     });
   });
 }
@@ -122,10 +131,14 @@ void place_entries(size_t splats, TileBins& bins) {
     const auto s = static_cast<size_t>(slot);
     uint32_t at = first[s];
     size_t splat = splats * s / slots;
-    detail::for_each_entry(bins, s, next[s], [&](const TileSpan& span, uint32_t entry) {
-      while (splat <= span.splat) bins.first_place[splat++] = at;
-      bins.places[entry] = at++;
-    });
+    uint32_t* const places = bins.places.data();
+    uint32_t nowhere;
+    detail::for_each_entry(bins, s, next[s],
+                           [&](const TileSpan& span, uint32_t entry, bool really) {
+                             while (splat <= span.splat) bins.first_place[splat++] = at;
+                             *(really ? places + entry : &nowhere) = at;
+                             at += really;
+                           });
     while (splat < splats * (s + 1) / slots) bins.first_place[splat++] = at;
   });
   bins.first_place[splats] = first[slots];

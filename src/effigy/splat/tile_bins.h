@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <utility>
 #include <vector>
 
 #include "effigy/base/threads.h"
@@ -31,6 +32,19 @@ struct TileSpan {
   uint16_t row, first, last;
 };
 
+// Spans in the order in which they were found.
+struct TileSpans {
+  std::vector<TileSpan> memory;
+  size_t count = 0;  // those in use
+
+  // Adds the span if `really`: no branch asks, since the answer often cannot be foreseen.
+  void add(const TileSpan& span, bool really) {
+    if (count == memory.size()) memory.resize(2 * count + 1024);
+    memory[count] = span;
+    count += really;
+  }
+};
+
 // Lists of splats, nearest first, of every tile, row by row.
 struct TileBins {
   int columns = 0, rows = 0;
@@ -41,7 +55,7 @@ struct TileBins {
   std::vector<uint32_t> places, first_place;
   // Of every slot: what it found, and scratch of bin_splats; kept for place_entries and to keep
   // their memory.
-  std::vector<std::vector<TileSpan>> spans;
+  std::vector<TileSpans> spans;
   std::vector<std::vector<uint32_t>> next;
   int count() const { return columns * rows; }
 };
@@ -66,30 +80,34 @@ void finish_bins(const uint32_t* ids, TileBins& bins);
 
 }  // namespace detail
 
-// Fills the lists of `splats` splats. find(k, emit) calls emit(tile row, first column, last column)
-// for every row of tiles that splat k in order of depth reaches; it is called from several threads.
-// `ids`: what the lists hold for each splat; null: k itself.
+// Fills the lists of `splats` splats. find(k, emit) calls emit(tile row, first column, last column,
+// true) for every row of tiles that splat k in order of depth reaches, and may call emit(row,
+// column, column, false), which does nothing but must name a tile of the image. It is called from
+// several threads. `ids`: what the lists hold for each splat; null: k itself.
 template <class Find>
 void bin_splats(size_t splats, const uint32_t* ids, int width, int height, TileBins& bins,
                 const Find& find) {
   constexpr size_t kGrain = 2048;
   const size_t slots = std::clamp<size_t>(splats / kGrain, 1, static_cast<size_t>(thread_count()));
   detail::begin_bins(width, height, slots, bins);
+  const int columns = bins.columns;
   run_slots(static_cast<int>(slots), [&](int slot) {
     const auto s = static_cast<size_t>(slot);
-    std::vector<TileSpan>& spans = bins.spans[s];
+    TileSpans spans = std::move(bins.spans[s]);  // a copy that nothing else can write to
     uint32_t* const counts = bins.next[s].data();
     const size_t end = splats * (s + 1) / slots;
     for (size_t i = splats * s / slots; i < end; ++i)
-      find(i, [&](int row, int first, int last) {
-        spans.push_back({static_cast<uint32_t>(i), static_cast<uint16_t>(row),
-                         static_cast<uint16_t>(first), static_cast<uint16_t>(last)});
-        // Whether there is a second column cannot be foreseen, so no branch asks for it.
-        uint32_t* const tiles = counts + row * bins.columns;
-        ++tiles[first];
+      find(i, [&](int row, int first, int last, bool really) {
+        spans.add({static_cast<uint32_t>(i), static_cast<uint16_t>(row),
+                   static_cast<uint16_t>(first), static_cast<uint16_t>(last)},
+                  really);
+        // Nor whether there is a second column.
+        uint32_t* const tiles = counts + row * columns;
+        tiles[first] += really;
         for (int tx = first + 1; tx < last; ++tx) ++tiles[tx];
         tiles[last] += last != first;
       });
+    bins.spans[s] = std::move(spans);
   });
   detail::finish_bins(ids, bins);
 }
@@ -135,9 +153,9 @@ inline EllipseBand ellipse_in_band(const EllipseOutline& o, float top, float bot
   return {d0 <= d1 ? left : 1e30f, d0 <= d1 ? right : -1e30f};
 }
 
-// Calls emit(tile row, first tile column, last tile column) for every row of tiles in which the
-// outline contains, within a fraction of a pixel, a pixel centre. Outline: an EllipseOutline, which
-// may also have a disc (disc_x, disc_y, disc_squared).
+// Calls emit(tile row, first tile column, last tile column, true) for every row of tiles in which
+// the outline contains, within a fraction of a pixel, a pixel centre. Outline: an EllipseOutline,
+// which may also have a disc (disc_x, disc_y, disc_squared).
 template <class Outline, class Emit>
 void for_each_span(float anchor_x, float anchor_y, const Outline& o, int width, int height,
                    const Emit& emit) {
@@ -164,7 +182,7 @@ void for_each_span(float anchor_x, float anchor_y, const Outline& o, int width, 
   const int first_row = rows.first / kTileSize, last_row = rows.last / kTileSize;
   const int first_column = columns.first / kTileSize, last_column = columns.last / kTileSize;
   if (o.everywhere || first_row == last_row || first_column == last_column) {
-    for (int ty = first_row; ty <= last_row; ++ty) emit(ty, first_column, last_column);
+    for (int ty = first_row; ty <= last_row; ++ty) emit(ty, first_column, last_column, true);
     return;
   }
   for (int ty = first_row; ty <= last_row; ++ty) {
@@ -182,7 +200,7 @@ void for_each_span(float anchor_x, float anchor_y, const Outline& o, int width, 
     if (right < left) continue;
     columns = pixels_between(anchor_x + left, anchor_x + right, width);
     if (columns.last < columns.first) continue;
-    emit(ty, columns.first / kTileSize, columns.last / kTileSize);
+    emit(ty, columns.first / kTileSize, columns.last / kTileSize, true);
   }
 }
 
