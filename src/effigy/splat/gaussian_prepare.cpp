@@ -248,9 +248,9 @@ struct Covers {
       const EllipseBand band = ellipse_in_band(outline_of(d, i), top, top + (kTileSize - 1));
       const PixelRange columns =
           pixels_between(d.anchor_x[i] + band.left, d.anchor_x[i] + band.right, camera.width);
-      const bool some = columns.first <= columns.last;
-      c.first[r][i] = some ? columns.first / kTileSize : 1;
-      c.last[r][i] = some ? columns.last / kTileSize : 0;
+      const int some = -static_cast<int>(columns.first <= columns.last);  // all bits, or none
+      c.first[r][i] = ((columns.first / kTileSize) & some) | (1 & ~some);
+      c.last[r][i] = (columns.last / kTileSize) & some;
     }
   }
 }
